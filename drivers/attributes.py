@@ -16,11 +16,12 @@ from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 
+from tiltcal.dialect import AXES, TEMPERATURE
 from tiltcal.drivers.bus import Link
 from tiltcal.drivers.bus.address import Address, parse_address
 from tiltcal.drivers.bus.attributes import ACCELERATION, LETTER, as_text
 from tiltcal.drivers.bus.clock import Clock
-from tiltcal.drivers.columns import AXES, TEMPERATURE, ColumnLayout, columns_of, model_of_numbers, scale_at
+from tiltcal.drivers.columns import ColumnLayout, columns_of, model_of_numbers, scale_at
 from tiltcal.drivers.model import OF_G, Model, Reading, Sensor, in_words
 from tiltcal.drivers.virtual import HeldPose, Truth, VirtualPart
 from tiltcal.errors import BusError, DeviceFault

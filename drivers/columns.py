@@ -9,15 +9,17 @@ and without one the device is calibrated without these checks, as the session sa
 
 from __future__ import annotations
 
+import json
 import re
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import cached_property, partial
-from math import hypot, isfinite
+from math import isfinite
 from typing import Any, NamedTuple
 
+from tiltcal.dialect import AXES, TEMPERATURE, TIME, flattened, labels_of, meaning, printed, without_clock
 from tiltcal.drivers.bus import Link
 from tiltcal.drivers.bus.address import Address, parse_address
 from tiltcal.drivers.bus.clock import Clock
@@ -42,10 +44,6 @@ UNUSABLE = 50
 
 _LINE_END = re.compile(rb"[\r\n]+")
 
-AXES = ("x", "y", "z")
-TEMPERATURE = "temperature"
-TIME = "time"
-"""The clock of the device; sessions and logs use their own."""
 SKIPPED = ("", "-")
 
 SEPARATORS = {
@@ -53,7 +51,8 @@ SEPARATORS = {
     "semicolon": rb";",
     "tab": rb"\t",
     "space": rb"[ \t]+",
-    "any": rb"[ \t]*[,;][ \t]*|[ \t]+",
+    "bar": rb"[ \t]*\|[ \t]*",
+    "any": rb"[ \t]*[,;|][ \t]*|[ \t]+",
 }
 """By name, because some of the characters have a meaning in an address."""
 
@@ -71,8 +70,9 @@ SCALE_OPTIONS = ("offset", "sensitivity", "low", "high")
 RAIL = 1e12
 """Rails if the address states none: no printed number reaches them."""
 
+_WORD = re.compile(r"[^\W\d]\w*(?:\^?-?\d)?")  # a label or unit
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9]*")
-_NUMBER = re.compile(rb"[+-]?(?:[0-9]+(?:\.([0-9]*))?|\.([0-9]+))(?:[eE]([+-]?[0-9]{1,3}))?")
+_NUMBER = re.compile(r"[+-]?(?:[0-9]+(?:\.([0-9]*))?|\.([0-9]+))(?:[eE]([+-]?[0-9]{1,3}))?")
 
 
 class LineBuffer:
@@ -167,36 +167,44 @@ class ColumnLayout:
         return next(mark for mark in (b",", b";", b"\t", b" ") if re.fullmatch(self.separator, mark))
 
     def reading(self, line: bytes) -> Reading | None:
-        """Return the reading of a line.
-
-        None where its number of columns is wrong, a cell is not a number, or a label is that of another column.
-        """
-        cells = re.split(self.separator, bare(line).strip())
+        """Return the reading of a line; None where it has other columns, a cell is no number, or a label is another."""
+        cells = self._cells(line)
         if len(cells) != len(self.names) or self.mislabelled(line):
             return None
         numbers, places = {}, []
-        for name, cell in zip(self.names, cells, strict=True):
+        for name, (_, text) in zip(self.names, cells, strict=True):
             if name in ("-", TIME):
                 continue
-            text = cell.strip()
             written = _NUMBER.fullmatch(text)
             if not written or not isfinite(float(text)):
                 return None
             numbers[name] = float(text)
             if name != TEMPERATURE:
                 whole, part, exponent = written.groups()
-                places.append(int(exponent or 0) - len(whole or part or b""))
+                places.append(int(exponent or 0) - len(whole or part or ""))
         values = tuple(numbers[channel] for channel in self.channels)
         return Reading(values, numbers.get(TEMPERATURE), float(f"1e{min(places)}"))
 
     def mislabelled(self, line: bytes) -> str:
         """Return the label of a line that contradicts the column at its place; empty where none does."""
-        labels = _labels(line)
-        if len(labels) != len(self.names):
-            return ""
-        pairs = zip(labels, self.names, strict=True)
+        pairs = zip(self._cells(line), self.names, strict=False)
         named = (*AXES, TEMPERATURE)
-        return next((label for label, name in pairs if name in named and _meaning(label) not in (name, "-")), "")
+        return next((label for (label, _), name in pairs if name in named and meaning(label) not in (name, "")), "")
+
+    def _cells(self, line: bytes) -> list[tuple[str, str]]:
+        """Return the cells of a line as it is printed, each with its label, empty without one."""
+        text = without_clock(line.decode(errors="replace"))[1].strip()
+        if text.startswith("{"):
+            try:
+                return [(key, cell.strip()) for key, cell in flattened(json.loads(text)).items()]
+            except (ValueError, RecursionError):
+                return []
+        if any(character.isalpha() for around in printed(text)[0] for character in around):  # labels or units
+            texts, numbers = printed(text)
+            if any(character.isdigit() for around in texts for character in _WORD.sub("", around)):
+                return []  # a number with something stuck to it is none
+            return list(zip(labels_of(texts), numbers, strict=True))
+        return [("", cell.strip()) for cell in re.split(self.separator.decode(), text)]
 
     def line(self, numbers: Mapping[str, float]) -> bytes:
         """Return the line that shows these numbers, by the names of their columns; a column without one shows 0."""
@@ -275,80 +283,6 @@ def require_name(address: Address, name: str) -> None:
         address.refuse(f"column {name!r} is neither a name of letters and digits nor - (for one that is skipped)")
     if name != TEMPERATURE and get_close_matches(name.lower(), [TEMPERATURE], cutoff=0.8):
         address.refuse(f"column {name!r}: did you mean {TEMPERATURE!r}?")
-
-
-# --- Lines as sketches print them: with labels, units and the monitor's clock ---
-
-_CLOCK = re.compile(rb"^\s*\d{1,2}:\d\d:\d\d(\.\d+)? -> ")
-"""What the monitor of the Arduino IDE prints before a line."""
-_LABEL = re.compile(rb"([A-Za-z_][\w./ ]*?)[ \t]*[:=][ \t]*(?=[-+.\d])")
-_UNIT = re.compile(rb"(?<=[\d.])[ \t]*(m/s\^?2|m/s\xc2\xb2|mg|g|\xc2\xb0C|C)(?![\w/])")
-_PRINTED = re.compile(rb"(?<![\w.])[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?(?![\w.])")
-
-_UNITS = {b"g": "g", b"mg": "mg", b"m/s2": "m/s2", b"m/s^2": "m/s2", b"m/s\xc2\xb2": "m/s2"}
-_AXIS = re.compile(r"(?:a|acc|accel|acceleration|aa|g)?_?([xyz])", re.IGNORECASE)
-_TEMPERATURE = re.compile(r"t|temp|temperature|celsius", re.IGNORECASE)
-_UNNAMED = {1: "x", 2: "x,y", 3: "x,y,z", 6: "x,y,z,-,-,-", 7: "x,y,z,-,-,-,temperature"}
-"""What numbers without a name may be; six are often accelerations and angular rates."""
-
-
-def bare(line: bytes) -> bytes:
-    """Return a line without clock, labels and units: numbers and what separates them."""
-    return _UNIT.sub(b" ", _LABEL.sub(b" ", _CLOCK.sub(b"", line)))
-
-
-class Guess(NamedTuple):
-    """What the numbers of a device's lines may be.
-
-    numbers: how many a line has.
-    columns: as ``columns=`` of an address; empty where no line has numbers.
-    unit: as ``unit=``; empty where no line names it.
-    example: the last line that has as many numbers as most.
-    """
-
-    numbers: int
-    columns: str
-    unit: str
-    example: str
-
-
-def guess(lines: Sequence[bytes]) -> Guess:
-    """Guess the meaning of the numbers of whole lines: by labels, by a line of names, by their number."""
-    counts = [len(_PRINTED.findall(bare(line))) for line in lines]
-    usual = max(Counter(filter(None, counts)).items(), key=lambda item: item[1], default=(0, 0))[0]
-    if not usual:
-        return Guess(0, "", "", "")
-    example = next(line for line, count in zip(reversed(lines), reversed(counts), strict=True) if count == usual)
-    labels = _labels(example)
-    headings = (re.split(rb"[,;\t ]+", line.strip()) for line, count in zip(lines, counts, strict=True) if not count)
-    heading = next((names for names in headings if len(names) == usual), [])
-    names = labels if len(labels) == usual else [name.decode("latin-1") for name in heading]
-    columns = ",".join(map(_meaning, names)) if names else _UNNAMED.get(usual, "x,y,z" + ",-" * (usual - 3))
-    if not set(columns) & set("xyz"):
-        columns = _UNNAMED.get(usual, columns)
-    unit = next((_UNITS[one] for one in _UNIT.findall(example) if one in _UNITS), "")
-    return Guess(usual, columns, unit, example.decode("latin-1").strip())
-
-
-def unit_of_gravity(guessed: Guess) -> str:
-    """Return the unit in which the reading of three axes is about as long as gravity; empty where none is."""
-    numbers = [float(number) for number in _PRINTED.findall(bare(guessed.example.encode("latin-1")))]
-    columns = guessed.columns.split(",")
-    along = [number for number, column in zip(numbers, columns, strict=False) if column in ("x", "y", "z")]
-    near = (unit for unit, gravity in (("m/s2", 9.81), ("g", 1.0)) if 0.75 < hypot(*along) / gravity < 1.25)
-    return next(near, "") if len(along) == 3 else ""
-
-
-def _labels(line: bytes) -> list[str]:
-    """Return the last words of the labels of a line."""
-    return [label.split()[-1].decode() for label in _LABEL.findall(_CLOCK.sub(b"", line))]
-
-
-def _meaning(name: str) -> str:
-    """Return what a label or heading means: an axis, the temperature, or - for a number that is skipped."""
-    if axis := _AXIS.fullmatch(name):
-        return "-" if name[:1] in "gG" and len(name) > 1 else axis[1].lower()
-    return "temperature" if _TEMPERATURE.fullmatch(name) else "-"
 
 
 def virtual_columns(columns: ColumnLayout, truth: Truth, fixture: HeldPose, clock: Clock) -> StreamingPart:

@@ -19,11 +19,12 @@ from dataclasses import dataclass
 from functools import partial
 from math import isfinite
 
+from tiltcal.dialect import TEMPERATURE, TIME
 from tiltcal.drivers.bus import Link
 from tiltcal.drivers.bus.address import Address, parse_address
 from tiltcal.drivers.bus.clock import Clock
 from tiltcal.drivers.bus.modbus import FAILED, HOLDING, INPUT, WRITE, WRITE_ONE
-from tiltcal.drivers.columns import TEMPERATURE, TIME, channels_of, model_of_numbers, require_name, scale_at
+from tiltcal.drivers.columns import channels_of, model_of_numbers, require_name, scale_at
 from tiltcal.drivers.model import Model, Reading, Sensor
 from tiltcal.drivers.virtual import HeldPose, Truth, VirtualPart
 from tiltcal.errors import BusError, DeviceFault

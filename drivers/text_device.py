@@ -19,9 +19,10 @@ from math import isfinite
 from operator import xor
 from typing import Any
 
+from tiltcal.dialect import TEMPERATURE
 from tiltcal.drivers.bus import Link
 from tiltcal.drivers.bus.clock import Clock
-from tiltcal.drivers.columns import CHUNK, LONGEST, TEMPERATURE, UNUSABLE, Scale, channels_of, model_of_numbers
+from tiltcal.drivers.columns import CHUNK, LONGEST, UNUSABLE, Scale, channels_of, model_of_numbers
 from tiltcal.drivers.model import Model, Reading, Sensor, as_tilt
 from tiltcal.drivers.virtual import HeldPose, StreamingPart, Truth
 from tiltcal.errors import BusError

@@ -328,7 +328,7 @@ def labels_of(texts: Sequence[str]) -> list[str]:
         names.append(f"{group} {found[-1]}".strip() if found else "")
     starts = [place for place, name in enumerate(names) if name or not place]
     listed = list[str]()
-    for start, end in zip(starts, [*starts[1:], len(names)], strict=True):
+    for start, end in zip(starts, [*starts[1:], len(names)], strict=False):
         run = range(end - start)
         listed += [f"{names[start]} {AXES[k] if len(run) == 3 else k + 1}".strip() for k in run if len(run) > 1]
         listed += [names[start]] * (len(run) == 1)

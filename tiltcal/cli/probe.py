@@ -1,4 +1,4 @@
-"""``tiltcal probe``: test the wiring of a sensor."""
+"""``tiltcal probe``: say what is in a log, or test the wiring of a sensor."""
 
 from __future__ import annotations
 
@@ -9,32 +9,46 @@ import click
 
 from tiltcal.bench.devices import open_sensor
 from tiltcal.cli import options
+from tiltcal.cli.talk import progress_bar
+from tiltcal.column_guess import guess
+from tiltcal.dialect import AXES
 from tiltcal.drivers import find_model
 from tiltcal.drivers.bus import open_link
 from tiltcal.drivers.bus.address import Address, parse_address
 from tiltcal.drivers.bus.clock import session_clock
-from tiltcal.drivers.columns import guess, listened, shown, unit_of_gravity
+from tiltcal.drivers.columns import listened, shown
 from tiltcal.errors import NEGATIVE_VERDICT, BusError, UsageError
 from tiltcal.files.device import model_named
+from tiltcal.printable import counted
+
+_EXAMPLES = """\b
+Examples:
+  tiltcal probe night.csv
+  tiltcal probe --sensor sca100t-d02 --address spi:///dev/spidev0.0 --self-test
+"""
 
 
-@options.command(epilog="Example: tiltcal probe --sensor sca100t-d02 --address spi:///dev/spidev0.0 --self-test")
-@click.argument("device", metavar="[FILE]", required=False)
+@options.command(epilog=_EXAMPLES)
+@click.argument("device", metavar="[LOG]", required=False)
 @click.option(
     "--sensor",
     metavar="MODEL",
     help="The sensor's model; `tiltcal devices` lists them. Without it, a serial port is listened to for two seconds.",
 )
-@click.option(
-    "--address", required=True, help="Its address, such as spi:///dev/spidev0.0, /dev/ttyUSB0, or sim: for its twin."
-)
+@click.option("--address", help="Its address, such as spi:///dev/spidev0.0, /dev/ttyUSB0, or sim: for its twin.")
 @click.option("--self-test", "self_test", is_flag=True, help="Start the self-test of the part; lay it level and still.")
 @options.as_json
-def command(device: str | None, sensor: str | None, address: str, self_test: bool, as_json: bool) -> int:
-    """Test the connection of a sensor, or of the device that the device FILE describes, and print its answer.
+def command(device: str | None, sensor: str | None, address: str | None, self_test: bool, as_json: bool) -> int:
+    """Say what is in a LOG, or test the connection of a sensor and print its answer.
 
-    Exit code 3 if it does not answer, 1 if its self-test fails.
+    Of a LOG: where its table begins, names and units of its columns, rows and rate, gravity at rest, still attitudes,
+    and the command to type next. With --address a FILE in place of LOG describes the device. Exit code 3 if
+    a sensor does not answer, 1 if its self-test fails.
     """
+    if address is None:
+        if device is None or sensor is not None:
+            raise UsageError("give a LOG, or the --address of a sensor")
+        return _read(device, as_json)
     parsed = parse_address(address)
     sensor = sensor or device
     if parsed.scheme == "serial" and (not sensor or (sensor == "serial-columns" and "columns" not in parsed.options)):
@@ -60,34 +74,50 @@ def command(device: str | None, sensor: str | None, address: str, self_test: boo
     return 0 if passed else NEGATIVE_VERDICT
 
 
+def _read(log: str, as_json: bool) -> int:
+    """Print what is in a log."""
+    from tiltcal.logs.probe import probe_log
+
+    with progress_bar("probe") as progress:
+        found = probe_log(log, progress)
+    options.print_judged(options.json_text(found.as_data()) if as_json else str(found))
+    return 0
+
+
 def _listen(address: Address, as_json: bool) -> int:
     """Print what a device on a serial port sends, and the address that reads its numbers."""
     with closing(open_link(address, find_model("serial-columns"))) as link:
         lines, rate = listened(link, session_clock(datetime.now(UTC), virtual=False))
     if any(line.startswith(b"$PTCDC,") for line in lines):
         raise UsageError(f"{address} sends the times of duty cycles ($PTCDC,...): name the model, as --sensor adxl202")
-    found = guess(lines)
-    if not found.numbers:
+    found = guess([line.decode(errors="replace") for line in lines])
+    if not found.roles:
         raise BusError(
             f"{address} sends text without numbers, such as {shown(lines[-1])}: is the baud rate right (baudrate=), "
             "and does the sketch print its readings?"
         )
-    unit = found.unit or unit_of_gravity(found)
-    options_of = {**address.options, "columns": found.columns, **({"unit": unit} if unit else {})}
+    columns, known = ",".join(found.roles), bool({*found.roles} & {*AXES})
+    scale = {"unit": found.unit} if found.unit else {}
+    scale |= {"sensitivity": f"{found.per_g:g}"} if found.per_g else {}
+    options_of = {**address.options, **({"columns": columns} if known else {}), **scale}
     place = address.written.partition("?")[0]
     advised = f"{place}?{'&'.join(f'{name}={value}' for name, value in options_of.items())}"
     if as_json:
-        said = {**found._asdict(), "lines_per_second": round(rate, 1), "address": advised}
+        said = {"numbers": len(found.roles), "columns": columns, "unit": found.unit, "example": found.example}
+        said |= {"lines_per_second": round(rate, 1), "address": advised}
         options.print_judged(options.json_text(said))
         return 0
-    plural = "" if found.numbers == 1 else "s"
-    options.print_judged(f"{place} prints {found.numbers} number{plural} a line, {rate:.0f} lines a second:")
+    options.print_judged(f"{place} prints {counted(len(found.roles), 'number')} a line, {rate:.0f} lines a second:")
     options.print_judged(f"  {found.example}")
-    procedure = "six-face" if "z" in found.columns.split(",") else "PROCEDURE"
-    unknown = ", and unit= is not known: add it and what 1 g is, such as &unit=count&sensitivity=16384"
-    known = f", unit={unit}" if unit else unknown
-    how = "" if found.unit or not unit else " (at rest they are as long as gravity)"
-    options.print_judged(f"as columns={found.columns}{known}{how}. If that is right:")
+    if not known:
+        options.print_judged("which of them are the accelerations does not show (- skips one): name them, such as")
+        advised = f"{place}?columns={','.join(['x', 'y', 'z', '-', '-', '-', '-'][: len(found.roles)])}&unit=m/s2"
+    else:
+        unknown = ", and unit= is not known: add it and what 1 g is, such as &unit=count&sensitivity=16384"
+        shown_by = " (at rest they are as long as gravity)" if found.by == "length" or not found.unit else ""
+        unit = f", unit={found.unit}{shown_by}" if found.unit else unknown
+        options.print_judged(f"as columns={columns}{unit}. If that is right:")
+    procedure = "six-face" if "z" in found.roles else "PROCEDURE"
     measure = f'tiltcal measure {procedure} --sensor serial-columns --address "{advised}" --serial IMU1 -o IMU1.yaml'
     options.print_judged(f"  {measure}")
     return 0

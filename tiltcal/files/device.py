@@ -12,8 +12,9 @@ from typing import Annotated
 
 from msgspec import Meta
 
+from tiltcal.dialect import AXES, TEMPERATURE
 from tiltcal.drivers import find_model
-from tiltcal.drivers.columns import AXES, RAIL, TEMPERATURE, Scale
+from tiltcal.drivers.columns import RAIL, Scale
 from tiltcal.drivers.model import Model
 from tiltcal.drivers.text_device import CHECKED, CHECKSUM, DECIMALS, TextDevice, answer_with
 from tiltcal.errors import UsageError

@@ -14,6 +14,7 @@ import re
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tiltcal.core.model import Array
 from tiltcal.dialect import MISSING
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     from tiltcal.core.flags import Mask
 
 
+FOLLOWING = 5  # rows that stay behind where a clock starts again
 EPOCH = (1e9, 2e10)  # seconds since 1970 between which a number is a time since then
 PACE = (1e-6, 86400.0)  # seconds between rows that show that such a number is none of a counter
 
@@ -138,6 +140,18 @@ def unit_since_epoch(times: Array) -> str | None:
             usual = float(np.median(steps)) / factor if len(steps) else 1.0
             return unit if PACE[0] <= usual <= PACE[1] else None
     return None
+
+
+def clock_breaks(times: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return the rows at which a clock starts again, and those that are out of order, of times in s, NaN where missing.
+
+    Where a time is before the one of the row before, and stays so for some rows, the clock has started again.
+    """
+    rows = np.flatnonzero(np.isfinite(times))
+    known = times[rows]
+    back = np.flatnonzero(np.diff(known) < 0.0) + 1
+    again = [row for row in back if (known[row : row + FOLLOWING] < known[row - 1]).all() and row + 1 < len(known)]
+    return rows[np.array(again, np.intp)], rows[np.setdiff1d(back, again)]
 
 
 def column_numbers(column: pl.Series) -> Array | None:

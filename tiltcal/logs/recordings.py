@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from tiltcal.column_guess import LENGTHS
 from tiltcal.core.model import AXES, Array
 from tiltcal.drivers.model import OF_G
 from tiltcal.errors import UsageError
@@ -20,9 +21,6 @@ from tiltcal.files.tables import Segment
 from tiltcal.logs.columns import RecordedColumns, named_columns, read_readings
 from tiltcal.logs.formats import open_log
 from tiltcal.logs.log import LogReader, Progress
-
-LENGTHS = {"g": (0.9, 1.1), "m/s2": (9.3, 10.3), "mg": (930.0, 1070.0), "mm/s2": (9300.0, 10300.0)}
-"""The length of gravity at rest by which a unit is known that nothing states."""
 
 SAME_LENGTH, APART = 0.05, 30.0  # of two attitudes that show it: their lengths, relative, and the turn between, degrees
 CONTRADICTED = 0.15  # by how much the length of gravity may differ from that of the unit, relative

@@ -128,12 +128,10 @@ def find_still(columns: Sequence[Array], judge: Judge = fit_free) -> StaticDetec
 
     An EstimateError where no threshold finds attitudes that determine the sensor and are judged.
     """
-    lost = lost_rows(columns, stuck_spans(columns))
-    changes = np.cumsum(~repeated_rows(columns), dtype=np.int32)
-    tried = tuple(choice for window in WINDOWS for choice in _choices(columns, lost, changes, window, judge))
+    tried, lost = _tried(columns, judge)
     best = min(tried, key=lambda choice: choice.expanded, default=None)
     if best is None or best.fit is None or best.expanded == inf:
-        raise EstimateError(_too_few(tried, columns, int(lost.sum())))
+        raise EstimateError(_too_few(tried, columns, lost))
     # What is left over shows the scatter no better than this. A choice that is better by less has but left out some
     # attitude that fits badly, and would be surer of itself than it is.
     limit = best.expanded * (1.0 + 1.0 / sqrt(2.0 * best.fit.dof))
@@ -141,6 +139,32 @@ def find_still(columns: Sequence[Array], judge: Judge = fit_free) -> StaticDetec
         (choice.fit.distinct, -choice.expanded, choice) for choice in tried if choice.fit and choice.expanded <= limit
     ]
     return max(good, key=lambda each: each[:2])[2]
+
+
+def _tried(columns: Sequence[Array], judge: Judge) -> tuple[tuple[StaticDetection, ...], int]:
+    """Return the detection by each window and threshold, and how many rows are lost to all."""
+    lost = lost_rows(columns, stuck_spans(columns))
+    changes = np.cumsum(~repeated_rows(columns), dtype=np.int32)
+    tried = (choice for window in WINDOWS for choice in _choices(columns, lost, changes, window, judge))
+    return tuple(tried), int(lost.sum())
+
+
+def still_attitudes(columns: Sequence[Array]) -> Sequence[Sequence[Span]]:
+    """Return the rows of the still attitudes of readings: those that a fit by gravity takes, else the most."""
+    try:
+        return find_still(columns).intervals
+    except (EstimateError, ValueError, IndexError):
+        tried, _ = _tried(columns, _judges_nothing)
+        return max((choice.intervals for choice in tried), key=len, default=())
+
+
+def _judges_nothing(means: Array, u: Array) -> FreeFit:
+    raise EstimateError("nothing is judged")
+
+
+def different(means: Array) -> Array:
+    """Return a direction of each group of attitudes that count as one, of mean readings (n, 3)."""
+    return different_directions(_directions(means))
 
 
 def judge_of(positions: Mapping[str, Vector], channels: Sequence[str]) -> Judge | None:
@@ -241,23 +265,28 @@ def _too_few(tried: Sequence[StaticDetection], columns: Sequence[Array], lost: i
         found = f"enough attitudes to determine the sensor and check the result (10, better 12 to 18): at most {count}"
         if most is not None and count > UNKNOWNS:
             directions = _directions(np.array([mean_of(columns, spans)[0] for spans in most.intervals]))
-            different = _different(directions)
-            if len(different) <= UNKNOWNS:
-                found = f"{found}, of which {len(different)} are different"
-                longer = f"Add other attitudes, such as the one with {_farthest(different)} up"
+            kinds = different_directions(directions)
+            if len(kinds) <= UNKNOWNS:
+                found = f"{found}, of which {len(kinds)} are different"
+                longer = f"Add other attitudes, such as the one with {farthest(kinds)} up"
     lost_too = f"; {lost} rows are missing, or stuck at one value" if lost else ""
     why = f"no threshold finds {found} in windows of {WINDOWS[-1]} rows or more{lost_too}. {longer}"
-    means = () if most is not None and most.intervals else _as_table(columns)
+    few = most is None or len(most.intervals) < 2
+    means = (
+        ("; if each row is the mean of one position, say ", Argument("table")) if few and may_be_means(columns) else ()
+    )
     return f"{why}; or give the intervals with ", Argument("segments"), *means
 
 
-def _as_table(columns: Sequence[Array]) -> Parts:
-    """Return the advice on rows that are about as long as gravity themselves: they may be means of positions."""
-    lengths = np.linalg.norm(np.stack(columns), axis=0)
-    lengths = lengths[np.isfinite(lengths)]
-    near = np.abs(lengths / np.median(lengths) - 1.0) < NEARLY if len(lengths) else np.zeros(1)
-    alike = len(columns) == 3 and bool(near.mean() > 1.0 - NEARLY)
-    return ("; if each row is the mean of one position, say ", Argument("table")) if alike else ()
+def may_be_means(columns: Sequence[Array]) -> bool:
+    """Return whether rows of three channels are about as long as each other, and point apart: means of positions."""
+    rows = np.stack(columns, axis=1)
+    rows = rows[np.isfinite(rows).all(axis=1)]
+    if rows.shape[1] != len(AXES) or len(rows) < UNKNOWNS:
+        return False
+    lengths = np.linalg.norm(rows, axis=1)
+    near = np.abs(lengths / max(float(np.median(lengths)), 1e-300) - 1.0) < NEARLY
+    return bool(near.mean() > 1.0 - NEARLY and np.ptp(rows, axis=0).max() > float(np.median(lengths)))
 
 
 def _directions(means: Array) -> Array:
@@ -267,7 +296,7 @@ def _directions(means: Array) -> Array:
     return np.asarray(up / np.maximum(np.linalg.norm(up, axis=1, keepdims=True), 1e-300))
 
 
-def _different(directions: Array) -> Array:
+def different_directions(directions: Array) -> Array:
     """Return one of each group of directions that are nearer than attitudes that count as different."""
     kept = list[Array]()
     for one in directions:
@@ -276,7 +305,7 @@ def _different(directions: Array) -> Array:
     return np.array(kept)
 
 
-def _farthest(directions: Array) -> str:
+def farthest(directions: Array) -> str:
     """Return the face, edge or corner of a box that is farthest from all directions, in words."""
     corners = np.array([corner for corner in product((-1, 0, 1), repeat=3) if any(corner)], float)
     near = (corners / np.linalg.norm(corners, axis=1, keepdims=True) @ directions.T).max(axis=1)

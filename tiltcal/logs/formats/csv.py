@@ -90,6 +90,11 @@ class CsvReader(LogReader):
     def sha256(self) -> str | None:
         return super().sha256 if self._digest is None else self._digest.hexdigest()
 
+    @property
+    def encoding(self) -> str:
+        """The encoding of the log."""
+        return {"cp1252": "Windows-1252", "utf-8": "UTF-8"}[self._charset] if self._decoder is None else "UTF-16"
+
     def unit(self, column: int) -> str | None:
         return self.dialect.units.get(self.dialect.names[column]) or super().unit(column)
 
