@@ -84,7 +84,10 @@ def _run(args: list[str], ctrl_c: _CtrlC) -> int:
     """Run a command, and return its exit code when all that it printed is out."""
     try:
         from tiltcal.cli.main import flushed, run
+        from tiltcal.cli.talk import ForeignLibrary
+        from tiltcal.logs.foreign_library import foreign_library
 
+        foreign_library.set(ForeignLibrary())
         code = run(args)
         _ignore_ctrl_c()
     except BaseException as failure:

@@ -188,3 +188,25 @@ def test_what_cannot_be_written_changes_no_exit_code_of_apply(stream: str, disk:
         streams = {"stdout": io.StringIO(), "stderr": io.StringIO()} | {stream: gone}
         assert called(command, tmp_path, nothing, **streams) == 2
     assert (tmp_path / "tilt" / "good.csv").exists()
+
+
+BUSY = "def open_dataset(*path, **options):\n    print('busy', flush=True)\n    sum(range(10**15))\n"
+"""A library whose loop looks for no signal, as HDF5's does on some damaged files."""
+
+
+def test_a_log_that_keeps_a_library_busy_is_named_and_ctrl_c_ends_it(tmp_path: Path) -> None:
+    (tmp_path / "h5netcdf.py").touch()
+    (tmp_path / "xarray.py").write_text(BUSY)
+    (tmp_path / "good.csv").write_text("x,y\n1024,1024\n")
+    (tmp_path / "torn.nc").write_bytes(b"\x89HDF\r\n\x1a\n")
+    (tmp_path / "out").mkdir()
+    command = [*TILTCAL, "apply", CAL, "good.csv", "torn.nc", "-o", "out"]
+    environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True, "env": environment}
+    with subprocess.Popen(command, cwd=tmp_path, **pipes) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "busy\n"
+        process.send_signal(signal.SIGINT)
+        said = process.communicate(timeout=30)[1]
+    assert (process.returncode, said.splitlines()[-1]) == (-signal.SIGINT, "reading torn.nc")
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["good.csv"]

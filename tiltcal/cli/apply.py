@@ -64,7 +64,8 @@ def command(
     matched sums and the gradient; flag (1 pass, 3 suspect, 4 fail, 9 missing), and reason, a sum: 1 arcsine beyond ±1,
     2 temperature and 8 tilt outside the calibrated range, 4 at the rail, 16 no temperature, 32 not a number, 64 outside
     the time of the calibrations, 128 no direction or field of unusual length, 256 gravity is not 1 g. Of several logs,
-    into the folder OUT, one that fails is named.
+    into the folder OUT, one that fails is named. A damaged NetCDF-4 or Parquet log may keep a library busy until
+    Ctrl-C, or end the command: its name is the last one printed, and the outputs before it are whole.
     """
     from tiltcal.library.recorded import apply_log
     from tiltcal.logs.apply import prepare_any

@@ -74,9 +74,37 @@ def progress_bar(what: str) -> Iterator[Progress | None]:
     from rich.console import Console
     from rich.progress import Progress as Bar
 
-    with Bar(console=Console(stderr=True), transient=True) as bar:
+    console = Console(stderr=True)
+    console.show_cursor = lambda show=True: False  # type: ignore[method-assign]  # Ctrl-C may leave no time to show it
+    with Bar(console=console, transient=True) as bar:
         task = bar.add_task(what, total=None, visible=False)
         yield lambda done, size: bar.update(task, completed=done, total=size, visible=size is not None)
+
+
+class ForeignLibrary:
+    """What the command puts around a library that reads a log: the log is named, and Ctrl-C has its default meanwhile.
+
+    A library of C that a damaged file keeps busy notices no handler of Python, and one may end the process.
+    """
+
+    def __init__(self) -> None:
+        self._named = ""
+
+    @contextmanager
+    def __call__(self, log: str) -> Iterator[None]:
+        from signal import SIG_DFL, SIG_IGN, SIGINT, getsignal, signal
+
+        if log != self._named:
+            self._named = log
+            talk(f"reading {printable(log)}")
+        if (before := getsignal(SIGINT)) is SIG_IGN:
+            yield
+            return
+        signal(SIGINT, SIG_DFL)
+        try:
+            yield
+        finally:
+            signal(SIGINT, before)
 
 
 def unforeseen(failure: BaseException, *inputs: str) -> InputError:

@@ -23,6 +23,7 @@ import numpy as np
 from tiltcal.errors import InputError, UsageError
 from tiltcal.files.moments import to_the_second
 from tiltcal.logs.cf_attributes import COUNT, describe, is_judgement
+from tiltcal.logs.foreign_library import foreign_library
 from tiltcal.logs.frames import DatasetFrame, FrameReader
 from tiltcal.logs.log import LogBlock, LogSource, LogWriter, Table
 from tiltcal.logs.streams import refusing
@@ -48,7 +49,7 @@ class NetcdfReader(FrameReader):
         if source.stream.read(3) == _CLASSIC:
             why = "this is NetCDF-3: make NetCDF-4 of it first, such as with nccopy -k nc4 OLD NEW"
             raise InputError(why, file=source.name)
-        with refusing(_DAMAGED, source.name):
+        with foreign_library.get()(source.name), refusing(_DAMAGED, source.name):
             # An index would hold a whole variable in memory, as many rows as the file declares.
             self.data = xarray.open_dataset(
                 Path(source.path),
@@ -69,7 +70,7 @@ class NetcdfReader(FrameReader):
         total, step = self.data.sizes[dimension], min(-(-_ROWS // longest) * longest, _MOST_ROWS)
         for start in range(0, max(total, 1), step):
             rows = slice(start, min(start + step, total))
-            with refusing(_DAMAGED, self.name):
+            with foreign_library.get()(self.name), refusing(_DAMAGED, self.name):
                 block = self._block(DatasetFrame(self.data.isel({dimension: rows})), columns, time, frames)
             self.bytes_read = (self.source.size or 0) * rows.stop // total
             yield block

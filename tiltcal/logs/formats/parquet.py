@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tiltcal.errors import InputError
+from tiltcal.logs.foreign_library import foreign_library
 from tiltcal.logs.log import LogBlock, LogReader, LogSource, LogWriter, Table
 from tiltcal.logs.streams import read_ahead, refusing
 
@@ -41,7 +42,7 @@ class ParquetReader(LogReader):
 
         super().__init__(source)
         path = Path(source.path)
-        with self._refusing_damage():
+        with foreign_library.get()(self.name), self._refusing_damage():
             self._scan = pl.scan_parquet(path, glob=False, hive_partitioning=False)
             self._schema = self._scan.collect_schema()
             self.notes = {key: note for key, note in pl.read_parquet_metadata(path).items() if key != _OF_THE_ENGINE}
