@@ -373,7 +373,7 @@ def fitted(session: RecordedSession) -> list[CalibrationRecord]:
         ],
         setup.steps.in_positions(),
         uncertainty_with(
-            setup.reference, BenchUncertainty(settings.jig, settings.thermometer, settings.table, settings.heading)
+            setup.reference, BenchUncertainty(settings.jig, settings.thermometer, settings.table_lean, settings.heading)
         ),
         typical_temperature=setup.typical_temperature,
         settings={"samples": settings.samples, "settle_seconds": settings.settle},

@@ -124,7 +124,7 @@ def uncertainty_with(device: ReferenceDevice | None, bench: BenchUncertainty) ->
     unread = sqrt(max(0.0, (bench.jig or 0.0) ** 2 - each**2))
     errors = InstrumentErrors(read, device.zero, device.scale, device.alignment, unread)
     # A table that leans is read as well.
-    return replace(bench, jig=each, instrument=errors, table=0.0 if len(read) == 2 else bench.table)
+    return replace(bench, jig=each, instrument=errors, table_lean=0.0 if len(read) == 2 else bench.table_lean)
 
 
 def compared(device: ReferenceDevice | None) -> list[str]:

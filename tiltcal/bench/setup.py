@@ -56,7 +56,7 @@ class Settings(Record, kw_only=True):
     soak: Annotated[AboveZero, about("seconds of the window at a new temperature")] = 20.0
     jig: Annotated[FromZero | None, about("standard uncertainty of a set angle, degrees")] = None
     thermometer: Annotated[FromZero | None, about("standard uncertainty of a temperature, °C")] = None
-    table: Annotated[FromZero | None, about("uncertainty of the table's lean, degrees")] = None
+    table_lean: Annotated[FromZero | None, about("uncertainty of the table's lean, degrees")] = None
     heading: Annotated[FromZero | None, about("uncertainty of a heading, degrees")] = None
     angle: Annotated[Number | None, about("the angle that the procedure leaves free, degrees")] = None
     turns: Annotated[FromOne | None, about("the most turns of a rotation")] = None
@@ -134,13 +134,13 @@ class Setup(Record, kw_only=True, dict=True):
             sensors=sensors,
             thermometer=thermometer,
             reference=reference,
-            table=bench.moving_table,
+            table=bench.table,
             chamber=bench.chamber,
             references=bench.references,
             settings=Settings(
                 jig=bench.jig,
                 thermometer=None if bench.thermometer is None else bench.thermometer.uncertainty,
-                table=bench.lean,
+                table_lean=bench.table_lean,
                 heading=bench.heading,
                 **_sampling(procedure, samples, settle),
             ),
@@ -447,7 +447,7 @@ def known_bench(document: Document) -> BenchFile:
             _ = sensor.wired
     with document.locating("thermometer"):
         thermometer_of(bench)
-    for name, machine in (("table", bench.moving_table), ("chamber", bench.chamber)):
+    for name, machine in (("table", bench.table), ("chamber", bench.chamber)):
         if machine is not None:
             from tiltcal.bench.drives import check_addresses
 

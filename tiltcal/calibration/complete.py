@@ -54,7 +54,7 @@ def level(
     for why in filter(None, (objection_to_level(base, measurement) for measurement in measurements)):
         raise EstimateError(why)
     silent = any(summary.noise_unknown for measurement in measurements for summary in measurement.summaries.values())
-    lean_known = bench.jig is not None or bench.table is not None
+    lean_known = bench.jig is not None or bench.table_lean is not None
     channels, before = base.coefficients.channels, base.derived.intrinsic
     renewed, change = _renewed(base, observations_of(measurements, channels), bench)
     new = renewed.named(change.names)
@@ -151,7 +151,7 @@ def _errors_of_bench(
     yield Uncertain.errors(names, np.diag(np.max(adc, axis=0) ** 2), source=ADC)
     for source, u, columns in (
         (JIG, radians(bench.jig or 0.0) / sqrt(count), slice(0, 2)),
-        (TABLE, radians(bench.table or 0.0), slice(2, 4)),
+        (TABLE, radians(bench.table_lean or 0.0), slice(2, 4)),
         (THERMOMETER, bench.thermometer or 0.0, slice(4, 5)),
     ):
         if u:
@@ -163,7 +163,7 @@ def _level_fit(change: Uncertain, offset: Array, temperature: float | None, benc
     steps = changes(change, offset - change.value)
     by_channel = {step.name.removeprefix("offset."): step for step in steps}
     known = {channel: step for channel, step in by_channel.items() if step.u}
-    lean = [angle for angle in (bench.jig, bench.table) if angle is not None]
+    lean = [angle for angle in (bench.jig, bench.table_lean) if angle is not None]
     return LevelFit(
         change={channel: round_to(step.difference, step.u or 0.0) for channel, step in by_channel.items()},
         change_uncertainty={channel: significant(step.u or 0.0, stated.DIGITS) for channel, step in known.items()},

@@ -37,7 +37,7 @@ class BenchUncertainty:
 
     jig: float | None = None  # of a set angle, degrees; not stated, the scatter of the positions shows it
     thermometer: float | None = None  # °C; not stated, the step of the sensors' own thermometers
-    table: float | None = None  # of the lean that all share, degrees per axis; not stated, several headings show it
+    table_lean: float | None = None  # that all share, degrees per axis; not stated, several headings show it
     heading: float | None = None  # degrees; not stated, headings count as exact
     instrument: InstrumentErrors | None = None  # of a reference that says what was set; the jig is its repeatability
 

@@ -42,7 +42,7 @@ def design_of(
         procedure.gain,
         procedure.reference or 0.0,
         inf if isinstance(procedure, FreePositions) else bench.jig,
-        table=bench.table,
+        table=bench.table_lean,
         heading=bench.heading or 0.0,
         instrument=bench.instrument,
         thermometer=bench.thermometer,

@@ -243,7 +243,7 @@ def calibrate_ramp(sensor: MeasuredSensor, procedure: Ramp, bench: BenchUncertai
         changed = 0.0 if at is None or not low <= at <= high else at - reference
         seen = fit.coefficients @ changed ** np.arange(fit.order + 1)
         if renews:
-            _require_attitude(sensor.base, seen, attitude, hypot(bench.jig or 0.0, bench.table or 0.0))
+            _require_attitude(sensor.base, seen, attitude, hypot(bench.jig or 0.0, bench.table_lean or 0.0))
         else:
             known, attitude = sensor.base, _as_base_reads(sensor.base, seen, attitude)
             up = ", ".join(f"{component:.3f}" for component in attitude.gravity)

@@ -109,32 +109,17 @@ class BenchFile(Record):
     reference: Annotated[BenchReference | None, about("a reference instrument on the same plate")] = None
     operator: Annotated[Text | None, about("the name of who stands there, for the files")] = None
     jig: Annotated[FromZero | None, about("standard uncertainty of a set angle, degrees; or `--jig`")] = None
-    table: Annotated[
-        FromZero | Machine | None,
-        about("of the table's lean in all positions, degrees; or `--table-lean`. Or a table that moves by itself"),
+    table_lean: Annotated[
+        FromZero | None, about("of the table's lean in all positions, degrees; or `--table-lean`")
     ] = None
+    table: Annotated[Machine | None, about("a table that moves by itself")] = None
     chamber: Annotated[Machine | None, about("a chamber that moves by itself; its keys are those of `table`")] = None
     heading: Annotated[FromZero | None, about("of a heading, degrees; or `--heading-uncertainty`")] = None
     references: Annotated[Mapping[Standard, Reference], about("the standards, by what they are")] = {}
 
-    @property
-    def moving_table(self) -> Machine | None:
-        """The table that moves by itself."""
-        return self.table if isinstance(self.table, Machine) else None
-
-    @property
-    def lean(self) -> float | None:
-        """The standard uncertainty of the table's lean, degrees."""
-        return self.table.lean if isinstance(self.table, Machine) else self.table
-
-    def with_stated(self, *, jig: float | None, lean: float | None, heading: float | None) -> BenchFile:
-        """Return the bench with other uncertainties where they are stated, degrees."""
-        table = self.table if lean is None else lean
-        if lean is not None and isinstance(self.table, Machine):
-            table = self.table.replaced(lean=lean)
-        return self.replaced(
-            jig=self.jig if jig is None else jig, table=table, heading=self.heading if heading is None else heading
-        )
+    def with_stated(self, **uncertainties: float | None) -> BenchFile:
+        """Return the bench with other uncertainties where they are stated, degrees: jig, table_lean, heading."""
+        return self.replaced(**{name: u for name, u in uncertainties.items() if u is not None})
 
 
 S = TypeVar("S", BenchSensor, BenchThermometer, BenchReference)
@@ -169,7 +154,7 @@ def bench_of(document: Document) -> BenchFile:
             orientation(sensor.axes)
         if serials[number] in serials[:number]:
             raise body.error(f"the serial number {serials[number]!r} is there twice", "sensors", number)
-    for key, machine, axes in (("table", bench.moving_table, TABLE_AXES), ("chamber", bench.chamber, CHAMBER_AXES)):
+    for key, machine, axes in (("table", bench.table, TABLE_AXES), ("chamber", bench.chamber, CHAMBER_AXES)):
         if machine is not None:
             check_machine(machine, body.at(key), axes)
     for name, reference in bench.references.items():

@@ -11,7 +11,7 @@ from msgspec import Meta
 from tiltcal.drivers.text_device import LINE_ENDS
 from tiltcal.files.device import require_pattern
 from tiltcal.files.document import Document
-from tiltcal.files.record import AboveZero, FromZero, Number, Range, Record, Text, about, one_of
+from tiltcal.files.record import AboveZero, Number, Range, Record, Text, about, one_of
 
 TILTS = ("x", "y")
 TABLE_AXES = (*TILTS, "heading", "stage")
@@ -49,7 +49,6 @@ class Machine(Record, kw_only=True):
     ] = 0.0
     timeout: Annotated[AboveZero | None, about("seconds to get there", usual="120, of a chamber 14400")] = None
     outer: Annotated[str, one_of(*TILTS), about("of two tilts, the axis that carries the other")] = "x"
-    lean: Annotated[FromZero | None, about("standard uncertainty of a table's lean, degrees; or `--table-lean`")] = None
     address: Annotated[Text | None, about("of `text` any `serial:`, of `modbus` any `modbus:`")] = None
     greeting: Annotated[Text | None, about("`text`: the pattern that it sends when it is opened")] = None
     start: Annotated[tuple[Text, ...], about("`text`: the lines that are sent first, such as `$H`")] = ()

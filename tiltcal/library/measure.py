@@ -95,12 +95,12 @@ def plan(procedure: str | Path, **options: Unpack[PlanOptions]) -> Plan:
     stated_bench = stated["bench"]
     known = None if stated_bench is None else known_bench(read_document(stated_bench))
     if known is not None:
-        known = known.with_stated(jig=jig, lean=stated["table_lean"], heading=None)
-        jig, stated["table_lean"] = known.jig, known.lean
+        known = known.with_stated(jig=jig, table_lean=stated["table_lean"])
+        jig, stated["table_lean"] = known.jig, known.table_lean
     bench = BenchUncertainty(jig, stated["thermometer"], stated["table_lean"])
     bench = uncertainty_with(None if known is None else reference_of(known), bench)
     return predict(
-        steps, model, jig=bench.jig, thermometer=bench.thermometer, table_lean=bench.table, noise=noise,
+        steps, model, jig=bench.jig, thermometer=bench.thermometer, table_lean=bench.table_lean, noise=noise,
         samples=samples, base=own, instrument=bench.instrument,
     )  # fmt: skip
 
@@ -235,7 +235,7 @@ def _begun(procedure: str | Path | None, given: Mapping[str, Any]) -> Session:
         bench = named if isinstance(named, BenchFile) else known_bench(read_document(named))
         if bench is not named:
             require_trusted(bench, named, given["python"])
-    bench = bench.with_stated(jig=given["jig"], lean=given["table_lean"], heading=given["heading"])
+    bench = bench.with_stated(jig=given["jig"], table_lean=given["table_lean"], heading=given["heading"])
     bases = bases_of(steps, base, [sensor.serial for sensor in bench.sensors])
     outputs, beside = _outputs(steps, bench, named, output)
     read = [path for path in (procedure, base, named) if isinstance(path, str | Path) and os.path.isfile(path)]
@@ -290,13 +290,15 @@ def _predict(setup: Setup, remark: Callable[[str], None]) -> None:
     for device in {(sensor.model, sensor.orientation): sensor for sensor in setup.sensors}.values():
         base = setup.bases.get(device.serial)
         settings = setup.settings
-        bench = uncertainty_with(setup.reference, BenchUncertainty(settings.jig, settings.thermometer, settings.table))
+        bench = uncertainty_with(
+            setup.reference, BenchUncertainty(settings.jig, settings.thermometer, settings.table_lean)
+        )
         expected = predict(
             setup.steps.in_positions(),
             device.wired,
             jig=bench.jig,
             thermometer=bench.thermometer,
-            table_lean=bench.table,
+            table_lean=bench.table_lean,
             instrument=bench.instrument,
             samples=setup.settings.samples,
             settle=setup.settings.settle,
