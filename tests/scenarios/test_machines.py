@@ -27,6 +27,7 @@ from support.moving_machines import (
 )
 
 from tiltcal.bench.machines import Machines, angles_of, gravity_of
+from tiltcal.bench.messages import PositionQuestion, Review
 from tiltcal.bench.operators import VirtualJig
 from tiltcal.drivers import find_model
 from tiltcal.drivers.bus.clock import VirtualClock
@@ -124,15 +125,16 @@ def test_a_machine_that_has_moved_while_it_was_sampled_is_refused(name: str) -> 
     movers = movers_of({"table": (TABLE, table), "chamber": (CHAMBER, chamber)}, clock)
     steps = find_procedure("mavs")
     operator = Machines(VirtualJig(), movers, steps, clock, thermometer=True)
-    question = {"ask": "position", "position": "x-45", **vars(steps.positions[0]), "heading": 0}
+    first = {**vars(steps.positions[0]), "heading": 0}
+    question = PositionQuestion(position=first.pop("name"), **first)
     assert operator.ask(question) == {"answer": "ready", "tilt": {"x": 45.0, "y": 0.0}}
-    assert operator.ask({"ask": "review", "position": "x-45"}) == {"answer": "accept"}
+    assert operator.ask(Review("x-45", {})) == {"answer": "accept"}
     if name == "table":
         table.axis = table.motor = table.target = table.axis - 0.5
     else:
         chamber.temperature -= 5.0
     with pytest.raises(HardwareError, match=f"{name}: it was at .*, and is at "):
-        operator.ask({"ask": "review", "position": "x-45"})
+        operator.ask(Review("x-45", {}))
 
 
 SENSOR = '  - {serial: S-1, model: sca100t-d02, address: "sim:?seed=1"}\n'

@@ -10,7 +10,8 @@ from typing import Any
 from tiltcal.bench import devices
 from tiltcal.bench.journal import calibrations_of
 from tiltcal.bench.measure import run_session
-from tiltcal.bench.operators import Message, Operator
+from tiltcal.bench.messages import Event, Held, Matched, Poll, Question, Refused, Resumed, Turn, Write
+from tiltcal.bench.operators import Operator
 from tiltcal.bench.session import Session
 from tiltcal.bench.setup import Setup, single
 from tiltcal.core.pair.model import Pair
@@ -56,38 +57,38 @@ class Attendant(Operator):
     """Says ready, and stop where it is told to; keeps what it hears."""
 
     def __init__(self, *, stop_after: Sequence[int] = (), readies: int = 1) -> None:
-        self.turns: list[Message] = []
+        self.turns: list[Turn] = []
         self.told: list[str] = []
-        self.accepted: Message = {}
+        self.accepted: Matched | None = None
         self._stop_after = list(stop_after)
         self._readies = readies
         self._looks = 0
 
-    def ask(self, question: Message) -> object:
-        if question["ask"] == "poll":
+    def ask(self, question: Question) -> object:
+        if isinstance(question, Poll):
             self._looks += 1
             if self._stop_after and self._looks >= self._stop_after[0]:
                 self._stop_after.pop(0)
                 return {"answer": "stop"}
             return None
-        if question["ask"] == "write":
+        if isinstance(question, Write):
             return {"answer": "yes"}
         if not self._readies:
             raise Stopped("enough")
         self._readies -= 1
         return {"answer": "ready"}
 
-    def tell(self, event: Message) -> None:
-        match event["event"]:
-            case "turn":
+    def tell(self, event: Event) -> None:
+        match event:
+            case Turn():
                 self.turns.append(event)
-            case "held":
-                self.told.append(event["why"])
-            case "resumed":
+            case Held():
+                self.told.append(event.why)
+            case Resumed():
                 self.told.append("goes on")
-            case "refused":
-                self.told.append(f"refused: {event['why']}")
-            case "accepted":
+            case Refused():
+                self.told.append(f"refused: {event.why}")
+            case Matched():
                 self.accepted = event
 
 

@@ -11,10 +11,10 @@ grow with the error of the axis that points up.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import asin, atan2, degrees, hypot, inf, radians, sin, sqrt
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -251,28 +251,6 @@ def _axis_in_words(channel: str, tilt: AxisTilt, off: Difference | None) -> str:
     words = "beyond 90°" if tilt.present is None else f"{tilt.present:+7.2f}°"
     words += "" if off is None or off.angle is None else f" ({off.angle:+.2f})"
     return f"{channel} {words}{' ok' if off is not None and off.fits else ''}".strip()
-
-
-def rows_of(readings: Mapping[str, Any], sensors: Mapping[str, Any]) -> Iterator[tuple[list[str], bool | None]]:
-    """Yield the cells of each direction, channel and thermometer below :data:`COLUMNS`, and whether it is as asked.
-
-    ``readings`` are those that a session shows, or the means of its review; ``sensors`` are as it begins with them.
-    """
-    for serial, reading in readings.items():
-        guide: SensorGuidance = reading["guidance"]
-        if guide.unknown:
-            yield [f"{serial} direction", "", UNKNOWN], None
-        elif (off := guide.differences.get("")) is not None:
-            yield [f"{serial} direction", "", "", f"{off.angle:.2f}°"], guide.ok
-        for channel, value in reading["values"].items():
-            tilt, of = guide.tilts.get(channel, AxisTilt(None, None)), guide.differences.get(channel)
-            angles = (tilt.target, tilt.present, None if of is None else of.angle)
-            cells = ["" if angle is None else f"{angle:+.2f}°" for angle in angles]
-            cells += [f"{value:.6g} {sensors[serial]['unit']}"]
-            cells += [f"{reading['std'][channel]:.2g}", str(reading["n"])] if "std" in reading else []
-            yield [f"{serial} {channel}", *cells], None if of is None or guide.calibrated else of.fits
-        if reading["temperature"] is not None:
-            yield [f"{serial} T", "", "", "", f"{reading['temperature']:.2f} °C"], None
 
 
 def _present_gravity(orientation: Orientation, tilts: Mapping[str, AxisTilt], gravity: Vector) -> Vector | None:

@@ -17,7 +17,7 @@ import numpy as np
 
 from tiltcal.bench.checks import PositionResult, ReadingSpans, at_rail, result_of
 from tiltcal.bench.devices import BenchDevice
-from tiltcal.bench.operators import Message, as_set
+from tiltcal.bench.operators import as_set
 from tiltcal.bench.playback import Playback, RecordedSample
 from tiltcal.bench.reference import compared, set_by, uncertainty_with
 from tiltcal.bench.setup import Setup
@@ -50,6 +50,7 @@ if TYPE_CHECKING:
     from tiltcal.core.ramp.record import RampRecord
     from tiltcal.files.pair import PairRecord
 
+BySerial = Mapping[str, Mapping[str, Any]]
 DIGITS = 1e-9  # part of its size by which a mean may differ from the one that was accepted
 
 FIRST = "this is the first position: there is none before it to go back to"
@@ -123,7 +124,7 @@ class RecordedSession:
         fixed = bool(self.setup.steps.once)
         return self.open[:1] if fixed else [p for p, one in zip(self.open, alike, strict=True) if one == alike[0]]
 
-    def require_possible(self, answer: OperatorAnswer, question: Message) -> None:
+    def require_possible(self, answer: OperatorAnswer, asked: str) -> None:
         """Refuse, with an InputError, to go back, to take a position again or to choose one where that cannot be."""
         steps, names = self.setup.steps, [result.position.name for result in self.accepted]
         if answer.answer in ("again", "back") and self._ramps:
@@ -131,7 +132,7 @@ class RecordedSession:
         if answer.answer == "back" and not names:
             raise InputError(FIRST)
         chosen = answer.position
-        if not chosen or chosen == question.get("position") or chosen in [one.name for one in self.choosable]:
+        if not chosen or chosen == asked or chosen in [one.name for one in self.choosable]:
             return
         if answer.answer == "again" and steps.once:
             raise InputError(steps.once)
@@ -230,7 +231,9 @@ class RecordedSession:
         self.accept(result)
         self._sampling = False  # what is read until the next answer is for the operator's eyes
 
-    def _require_same_means(self, result: PositionResult, values: Mapping[str, Message], event: Event) -> None:
+    def _require_same_means(
+        self, result: PositionResult, values: Mapping[str, Mapping[str, Any]], event: Event
+    ) -> None:
         for serial, measurement in result.measurements.items():
             for channel, mean in values[serial].get("mean", {}).items():
                 decoded = measurement.summaries[channel].mean

@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from tiltcal.bench.journal import fitted
+from tiltcal.bench.messages import Refused, StopAndKeep
 from tiltcal.bench.operators import Operator
 from tiltcal.errors import EstimateError, HardwareError, Stopped, TiltcalError, WrongPositions
 from tiltcal.files.journal import OperatorAnswer
@@ -52,10 +53,10 @@ class Judgement:
                 return
             names = self._operator.to_take_again(wrong, [result.position.name for result in session.accepted])
             for name in names:
-                session.note(OperatorAnswer(to="judgement", answer="again", position=name))
+                session.talk.note(OperatorAnswer(to="judgement", answer="again", position=name), chooses=False)
             why, _, _ = str(error).partition(":")
             for name in reversed(names):  # the whole reason stands before the next question
-                session.tell("refused", position=name, why=str(error) if name == names[0] else why)
+                session.talk.tell(Refused(name, str(error) if name == names[0] else why))
 
     def _stop(self, error: EstimateError, position: str) -> None:
         """Ask whether to stop and keep; return where the operator names a position to take again instead."""
@@ -70,7 +71,7 @@ class Judgement:
                 why = f"{len(self._takes[position])} takes without agreement: {why}"
             end = HardwareError(why)
         try:
-            self._session.ask({"ask": "stop", "position": position, "why": why})
+            self._session.talk.ask(StopAndKeep(position, why))
         except Stopped:
             raise end from None
         self._takes.clear()

@@ -14,7 +14,8 @@ from math import asin, atan2, cos, degrees, hypot, radians, sin
 from typing import Any
 
 from tiltcal.bench.drives import Angles, Drive
-from tiltcal.bench.operators import Message, Operator
+from tiltcal.bench.messages import Accepted, Event, Look, Moved, PositionQuestion, Question, Refused, Review, Waiting
+from tiltcal.bench.operators import Operator
 from tiltcal.core.attitude import Vector
 from tiltcal.drivers.bus.clock import Clock
 from tiltcal.errors import HardwareError, InputError, Stopped, UsageError
@@ -189,7 +190,7 @@ class Machines:
         self._limits = {axis: limits for mover in movers for axis, limits in mover.machine.limits.items()}
         self._carrier = carrier_of(mover.machine for mover in movers)
         self._failures = 0
-        self._asked: Message = {}
+        self._asked: PositionQuestion | None = None
         self._asked_by_hand = False
         left = [self._left_to_hand(vars(position)) for position in steps.positions]
         nothing = self._carrier and not any(one.get(TEMPERATURE) is not None or any(one.values()) for one in left)
@@ -221,48 +222,44 @@ class Machines:
             mover.close()
         return taken[min(map(taken.index, wrong)) :]
 
-    def ask(self, question: Message) -> object:
+    def ask(self, question: Question) -> object:
         """Return the answer to a question; to a position it is what was read back."""
         try:
-            if question["ask"] == "review":
+            if isinstance(question, Review):
                 self.probe()
-            if question["ask"] == "position":
+            if isinstance(question, PositionQuestion):
                 return self._position(question)
         except HardwareError as error:
             self._failures += 1
             if self._failures >= ATTEMPTS:
-                raise Stopped(f"{question['position']} failed {ATTEMPTS} times in a row: {error}") from None
+                raise Stopped(f"{question.subject} failed {ATTEMPTS} times in a row: {error}") from None
             raise
-        if question["ask"] != "review":
+        if not isinstance(question, Review):
             return self._person.ask(question)
         said = self._person.ask(question) if self._asked_by_hand else {"answer": "accept"}
         if said != {"answer": "accept"}:
             self._by_hand = None
         return said
 
-    def tell(self, event: Message) -> None:
+    def tell(self, event: Event) -> None:
         """Pass an event on; what was set by hand and is refused is asked for again."""
         self._person.tell(event)
-        if event["event"] == "accepted":
+        if isinstance(event, Accepted):
             self._failures = 0
-        if self._asked_by_hand and event["event"] == "refused":
+        if self._asked_by_hand and isinstance(event, Refused):
             self._by_hand = None
 
-    def _position(self, question: Message) -> object:
+    def _position(self, question: PositionQuestion) -> object:
         """Move every machine, have the rest done by hand, and return what was read back."""
-        targets = {axis: n for axis, n in wanted(question, self._carrier or "x").items() if axis in self._limits}
-        reached = self._moved(targets, question["position"])
+        targets = {
+            axis: n for axis, n in wanted(question.as_data(), self._carrier or "x").items() if axis in self._limits
+        }
+        reached = self._moved(targets, question.position)
         if reached and question is not self._asked:
             self._asked = question
-            self._person.tell(
-                {
-                    "event": "moved",
-                    "position": question["position"],
-                    "why": f"{question['position']}: {in_words(reached)}",
-                }
-            )
-        left = self._left_to_hand(question)
-        self._asked_by_hand = left != self._by_hand or question["position"] in self._contradicting
+            self._person.tell(Moved(question.position, f"{question.position}: {in_words(reached)}"))
+        left = self._left_to_hand(question.as_data())
+        self._asked_by_hand = left != self._by_hand or question.position in self._contradicting
         self.most_attempts = self._person.most_attempts if self._asked_by_hand else REFUSALS
         if not self._asked_by_hand:
             return {"answer": "ready", **self._as_set(question, reached)}
@@ -271,11 +268,11 @@ class Machines:
         self._by_hand = left if ready else None
         if not isinstance(said, Mapping) or not ready:
             return said
-        if said.get("position", question["position"]) != question["position"]:
+        if said.get("position", question.position) != question.position:
             self._by_hand = None
             raise InputError("machines take the positions in the procedure's order: set this one")
         # Whoever sets something by hand may have opened the door of the chamber.
-        answer = self._as_set(question, self._moved(targets, question["position"]))
+        answer = self._as_set(question, self._moved(targets, question.position))
         if "tilt" in answer and "tilt" in said:
             answer["tilt"] = {**answer["tilt"], **said["tilt"]}
         return {**said, **answer}
@@ -291,15 +288,15 @@ class Machines:
                 reached |= mover.move(mine, self._waits(position))
         return reached
 
-    def _as_set(self, question: Message, reached: Angles) -> dict[str, Any]:
+    def _as_set(self, question: PositionQuestion, reached: Angles) -> dict[str, Any]:
         """Return what was read back as an answer has it."""
         answer: dict[str, Any] = {}
         if TEMPERATURE in reached and not self._thermometer:
             answer[TEMPERATURE] = round(reached[TEMPERATURE], DIGITS)
         if not self._carrier:
             return answer
-        gravity = gravity_of({**angles_of(question["gravity"], self._carrier), **reached}, self._carrier)
-        if question["tilt"] is None or gravity[2] <= 0.0:
+        gravity = gravity_of({**angles_of(question.gravity, self._carrier), **reached}, self._carrier)
+        if question.tilt is None or gravity[2] <= 0.0:
             return {**answer, "gravity": list(gravity)}
         tilt = {axis: round(degrees(asin(gravity[place])), DIGITS) for place, axis in enumerate(TILTS)}
         return {**answer, "tilt": {axis: tilt[axis] for axis in TILTS if axis in self._limits}}
@@ -315,11 +312,10 @@ class Machines:
         def waits(why: str, at: Angles) -> None:
             nonlocal minutes
             if self._person.watches:
-                self._person.tell({"event": "look", "position": position, "why": why, "readings": {}})
+                self._person.tell(Look(position, why, {}))
             seconds = round((self._clock.now_ns() - began_ns) / 1e9)
             if seconds // 60 > minutes:
                 minutes, temperature = seconds // 60, at.get(TEMPERATURE)
-                event = {"event": "waiting", "position": position, "seconds": seconds, "why": why}
-                self._person.tell({**event, TEMPERATURE: temperature})
+                self._person.tell(Waiting(position, seconds, why, temperature))
 
         return waits

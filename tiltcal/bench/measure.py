@@ -11,6 +11,7 @@ from typing import Any
 from tiltcal.bench.devices import RECOVERY
 from tiltcal.bench.journal import SessionResult, calibrations_of
 from tiltcal.bench.judgement import Judgement
+from tiltcal.bench.messages import Lost, Write
 from tiltcal.bench.operators import NAMED, Operator, Program, PythonObject, VirtualJig
 from tiltcal.bench.session import Session
 from tiltcal.bench.settle import Unsettled
@@ -144,7 +145,7 @@ def run_session(session: Session, operator: Operator) -> SessionResult:
             TurningStage(session, steps).turn()
         judgement = Judgement(session, operator)
         while not _measured(session, judgement):
-            position = session.next
+            position = session.talk.next
             try:
                 session.attempt(position)
             except JournalError:
@@ -165,15 +166,15 @@ def _measured(session: Session, judgement: Judgement) -> bool:
         return not session.recorded.open
     outputs = [session.files.outputs.get(sensor.serial) for sensor in session.sensors.sensors]
     files = [str(output) for output in outputs if output is not None]
-    return session.ask({"ask": "write", "files": files}).answer == "yes"
+    return session.talk.ask(Write(files)).answer == "yes"
 
 
 def _refuse(session: Session, position: str, error: Exception) -> None:
     """Refuse a position, and give up a sensor that has failed too often, or end the session with its error."""
     if isinstance(error, SensorError):
         session.sensors.failed(error)
-    session.refuse(position, str(error))
+    session.talk.refuse(position, str(error))
     if isinstance(error, SensorError) and error.serial in session.sensors.lost:
-        session.tell("lost", sensor=error.serial, why=session.sensors.lost[error.serial])
+        session.talk.tell(Lost(error.serial, session.sensors.lost[error.serial]))
     if isinstance(error, HardwareError):
         session.clock.sleep(RECOVERY)

@@ -1,33 +1,4 @@
-"""The operator of a session: a person, a program, a Python object or the virtual jig, asked and told by dictionaries.
-
-A session asks, and the answer is ``{"answer": ...}``; it tells what has happened::
-
-    {"ask": "position", "position": "y-tilt1", "tilt": {"y": 30.0}, "gravity": [0, 0.5, 0.866], "heading": 0,
-     "temperature": None, "prompt": "Tilt the +Y side up to 30°"}
-        -> {"answer": "ready"}            or {"answer": "ready", "tilt": {"y": 30.02}, "temperature": 5.4}
-           or {"answer": "redo" | "back" | "quit"}
-           or {"answer": "again", "position": "x-tilt1"}
-    {"event": "waiting", "position": "y-tilt1", "seconds": 60, "why": "...", "temperature": 5.4}
-    {"event": "accepted", "position": "y-tilt1", "mean": {...}, "std": {...}, "n": 100}
-    {"event": "refused", "position": "y-tilt1", "why": "..."}             (followed by the same question)
-    {"event": "lost", "sensor": "A-1006", "why": "..."}                   (of several sensors one is given up)
-    {"event": "done", "calibrations": ["S-0042.yaml"], "journal": "..."}
-
-The operator of a turning stage is asked once, and may stop it at any time::
-
-    {"ask": "rotation", "pairs": [{"pair": ["a1", "a2"], "orthogonal": "a4"}], "turns": 100, "prompt": "..."}
-        -> {"answer": "ready"}            or {"answer": "quit"}
-    {"ask": "poll"} -> nothing, {"answer": "stop"} or {"answer": "quit"}
-    {"event": "turn", "turn": 12, "of": 100, "p": {"a1_a2": ...}, "q": {...}, "u_p": {...}, "u_q": {...}}
-    {"event": "held", "why": "..."}, {"event": "resumed"}
-    {"event": "accepted", "position": "rotation", "turns": 25.1, "p": {...}, ..., "suppression": {...}}
-
-``waiting`` comes once a minute. ``redo`` asks for the same position again; ``back`` withdraws the one that was accepted
-last, ``again`` the one that it names, also unasked while a reading settles; it is asked for anew. Of positions with one
-temperature, heading and stage the order is free: ``ready`` may name the one that was set, ``again`` one to ask for.
-A person is asked for a review of each position and before the files are written too, and sees every reading. Before
-that the positions are judged: one that contradicts the others is refused and asked for again.
-"""
+"""The operator of a session: a program, a Python object or the virtual jig; a person has modules of their own."""
 
 from __future__ import annotations
 
@@ -41,10 +12,29 @@ from dataclasses import replace
 from math import dist
 from queue import SimpleQueue
 from threading import Thread
-from typing import Any, Protocol, TextIO
+from typing import Protocol, TextIO
 
 import msgspec
 
+from tiltcal.bench.messages import (
+    Accepted,
+    Begin,
+    Done,
+    Event,
+    Held,
+    Lost,
+    Matched,
+    Message,
+    Moved,
+    Poll,
+    PositionQuestion,
+    Question,
+    Refused,
+    Resumed,
+    RotationQuestion,
+    Settling,
+    Turn,
+)
 from tiltcal.bench.typed import with_numbers
 from tiltcal.core.attitude import gravity_from_tilt, normalised
 from tiltcal.core.detection import TEMPERATURES
@@ -55,27 +45,10 @@ from tiltcal.files.journal import OperatorAnswer
 from tiltcal.files.procedure import Position
 from tiltcal.stated_arguments import of_python
 
-Message = Mapping[str, Any]
-
 NAMED = ("terminal", "web", "json", "sim")  # a person at the terminal or at a page, a program, the virtual jig
-USUAL = {"position": "ready", "rotation": "ready", "review": "accept", "write": "yes", "stop": "quit"}
-"""The answer to a question that an operator leaves to its default."""
-
-WORDS = {
-    "position": ("ready", "redo", "back", "again", "quit"),
-    "rotation": ("ready", "quit"),
-    "poll": ("stop", "quit"),
-    "settling": ("again",),
-    "review": ("accept", "redo", "back", "again", "quit"),
-    "write": ("yes", "back", "again", "quit"),
-    "stop": ("back", "again", "quit"),
-}
-"""The answers to each question."""
 NAMES = ("ready", "again")  # the answers that may name a position
-UNASKED = ("poll", "settling")  # the questions that nobody has to answer
 
 LOOK = "look"  # the answer of an operator that wants to see a reading before it is asked again
-HEARD = ("waiting", "accepted", "refused", "lost", "done", "turn", "held", "resumed")  # the events that a program gets
 CHUNK = LONGEST = 1 << 16  # bytes that are read at once, and of a line without an end that are kept
 SAME = 1e-4  # directions that differ by less are one, g: 0.006°
 
@@ -91,11 +64,11 @@ class Operator(Protocol):
     watches: bool = False
     speaks_unasked: bool = False
 
-    def ask(self, question: Message) -> object:
+    def ask(self, question: Question) -> object:
         """Return the answer to a question; Stopped where the operator quits."""
         ...
 
-    def tell(self, event: Message) -> None:
+    def tell(self, event: Event) -> None:
         """Take an event; Stopped where the operator gives up."""
         ...
 
@@ -123,7 +96,7 @@ def as_set(position: Position, answer: OperatorAnswer) -> Position:
     return position if direction is None else replace(position, gravity=direction, tilt=None)
 
 
-def understood(said: object, words: Sequence[str] = WORDS["position"]) -> OperatorAnswer:
+def understood(said: object, words: Sequence[str] = PositionQuestion.words) -> OperatorAnswer:
     """Return the answer of what an operator said; ``words`` are those that it may give.
 
     InputError: it is not an answer; the message says what is wrong with it.
@@ -203,42 +176,43 @@ class VirtualJig(Operator):
 
     def __init__(self, say: Callable[[str], None] = lambda line: None) -> None:
         self._say = say
-        self._begin: Message = {}
+        self._begin: Begin | None = None
 
-    def ask(self, question: Message) -> object:
+    def ask(self, question: Question) -> object:
         """Return the usual answer."""
-        if question["ask"] == "rotation":
-            self._say(f"{len(question['pairs'])} pairs, up to {question['turns']} turns of the virtual stage")
+        if isinstance(question, RotationQuestion):
+            self._say(f"{len(question.pairs)} pairs, up to {question.turns} turns of the virtual stage")
         return usual(question)
 
-    def tell(self, event: Message) -> None:
+    def tell(self, event: Event) -> None:
         """Print what a person would like to read afterwards."""
-        stage = event.get("position") == "rotation"
-        match event["event"]:
-            case "begin":
+        match event:
+            case Begin():
                 self._begin = event
-                self._say(": ".join(filter(None, (event["title"], event["length"]))))
-            case "accepted" if not stage:
+                self._say(": ".join(filter(None, (event.title, event.length))))
+            case Accepted():
                 for line in self._measured(event):
                     self._say(line)
-            case "refused" if stage:
-                raise Stopped(event["why"])  # asked again, the virtual stage would do the same
-            case "refused":
-                self._say(f"  {event['position']} refused: {event['why']}")
+            case Refused("rotation"):
+                raise Stopped(event.why)  # asked again, the virtual stage would do the same
+            case Refused():
+                self._say(f"  {event.position} refused: {event.why}")
             case _:
                 for line in in_words(event):
                     self._say(line)
 
-    def _measured(self, event: Message) -> Iterator[str]:
+    def _measured(self, event: Accepted) -> Iterator[str]:
         """Yield mean and scatter of each sensor of an accepted position."""
-        names, sensors = self._begin["positions"], self._begin["sensors"]
-        number = f"{names.index(event['position']) + 1:{len(str(len(names)))}}/{len(names)}"
-        for serial, values in (event["sensors"] if "sensors" in event else {next(iter(sensors)): event}).items():
-            stated = (f"{name} {mean:.6g} ± {values['std'][name]:.2g}" for name, mean in values["mean"].items())
+        if self._begin is None:
+            return
+        names, sensors = self._begin.positions, self._begin.sensors
+        number = f"{names.index(event.position) + 1:{len(str(len(names)))}}/{len(names)}"
+        for serial, one in event.by_serial(sensors).items():
+            stated = (f"{name} {mean:.6g} ± {one.std[name]:.2g}" for name, mean in one.mean.items())
             whose = f"{serial}  " if len(sensors) > 1 else ""
-            warmth = f"  at {values['temperature']:.1f} °C" if "temperature" in values else ""
-            warmth += "".join(f"  {axis} set {angle:+.4f}°" for axis, angle in (event.get("reference") or {}).items())
-            yield f"  {number} {event['position']:<12} {whose}{'  '.join(stated)} {sensors[serial]['unit']}{warmth}"
+            warmth = "" if one.temperature is None else f"  at {one.temperature:.1f} °C"
+            warmth += "".join(f"  {axis} set {angle:+.4f}°" for axis, angle in (event.reference or {}).items())
+            yield f"  {number} {event.position:<12} {whose}{'  '.join(stated)} {sensors[serial].unit}{warmth}"
 
 
 class Program(Operator):
@@ -253,18 +227,18 @@ class Program(Operator):
     def __init__(self, answers: TextIO, questions: TextIO) -> None:
         self._answers, self._questions = LineReader(answers), questions
 
-    def ask(self, question: Message) -> object:
+    def ask(self, question: Question) -> object:
         """Ask, and wait for the answer; to a poll return what the program has said without being asked."""
-        if question["ask"] == "poll":
+        if isinstance(question, Poll):
             return self._next() if self._answers.waiting() else None
-        if question["ask"] not in ("position", "rotation"):
+        if not isinstance(question, PositionQuestion | RotationQuestion):
             return self._again() or usual(question)
         self._send(question)
         return self._next()
 
-    def tell(self, event: Message) -> None:
+    def tell(self, event: Event) -> None:
         """Send an event, unless it is for a person's eyes."""
-        if event["event"] in HEARD:
+        if event.heard:
             self._send(event)
 
     def _again(self) -> object:
@@ -283,7 +257,7 @@ class Program(Operator):
 
     def _send(self, message: Message) -> None:
         try:
-            self._questions.write(json.dumps(message, ensure_ascii=False, allow_nan=False) + "\n")
+            self._questions.write(json.dumps(message.as_data(), ensure_ascii=False, allow_nan=False) + "\n")
             self._questions.flush()
         except BrokenPipeError:
             raise Stopped("the operator program has ended") from None
@@ -303,23 +277,24 @@ class PythonObject(Operator):
         if not callable(getattr(rig, question, None)):
             raise UsageError(f"the operator ({type(rig).__name__}) has no method {question}(ask)")
 
-    def ask(self, question: Message) -> object:
+    def ask(self, question: Question) -> object:
         """Return what the method returns."""
-        name = question["ask"]
-        if name in UNASKED:
+        if isinstance(question, Poll | Settling):
             said = self._rig.poll() if hasattr(self._rig, "poll") else None
-            return said if name == "poll" or again(said) else None
-        return getattr(self._rig, name)(question) if name in ("position", "rotation") else usual(question)
+            return said if isinstance(question, Poll) or again(said) else None
+        if isinstance(question, PositionQuestion | RotationQuestion):
+            return getattr(self._rig, question.kind)(question.as_data())
+        return usual(question)
 
-    def tell(self, event: Message) -> None:
+    def tell(self, event: Event) -> None:
         """Call the method of an event that a program gets, where the object has it."""
-        if event["event"] in HEARD and hasattr(self._rig, event["event"]):
-            getattr(self._rig, event["event"])(event)
+        if event.heard and hasattr(self._rig, event.kind):
+            getattr(self._rig, event.kind)(event.as_data())
 
 
-def usual(question: Message) -> object:
+def usual(question: Question) -> object:
     """Return the usual answer to a question; nothing where nobody has to answer."""
-    return {"answer": USUAL[question["ask"]]} if question["ask"] in USUAL else None
+    return {"answer": question.usual} if question.usual else None
 
 
 def again(said: object) -> bool:
@@ -337,33 +312,33 @@ def parsed(line: str) -> object:
         ) from None
 
 
-def in_words(event: Message) -> list[str]:
+def in_words(event: Event) -> list[str]:
     """Return what has happened as lines for a person."""
-    match event["event"]:
-        case "accepted" if event["position"] == "rotation":
-            return [f"  matched {pair} after {event['turns']:.1f} turns" for pair in _pairs_in_words(event)]
-        case "accepted":
-            return [f"  accepted {event['position']}"]
-        case "refused":
-            return [f"  refused: {event['why']}"]
-        case "lost":
-            return [f"  {event['sensor']} is dropped, the others continue: {event['why']}"]
-        case "turn":
-            parts = [f"  turn {event['turn']} of {event['of']}", *_pairs_in_words(event)]
-            parts += [f"{name}: {why}" for name, why in event.get("unknown", {}).items()]
-            parts += [f"{event['left_out']} samples left out"] if event.get("left_out") else []
+    match event:
+        case Matched():
+            return [f"  matched {pair} after {event.turns:.1f} turns" for pair in _pairs_in_words(event)]
+        case Accepted():
+            return [f"  accepted {event.position}"]
+        case Refused():
+            return [f"  refused: {event.why}"]
+        case Lost():
+            return [f"  {event.sensor} is dropped, the others continue: {event.why}"]
+        case Turn():
+            parts = [f"  turn {event.turn} of {event.of}", *_pairs_in_words(event)]
+            parts += [f"{name}: {why}" for name, why in event.unknown.items()]
+            parts += [f"{event.left_out} samples left out"] if event.left_out else []
             return ["   ".join(parts)]
-        case "moved":
-            return [f"  {event['why']}"]
-        case "held":
-            return [f"  held: {event['why']}"]
-        case "resumed":
+        case Moved():
+            return [f"  {event.why}"]
+        case Held():
+            return [f"  held: {event.why}"]
+        case Resumed():
             return ["  goes on"]
-        case "done":
-            return [*(f"wrote {path}" for path in event["calibrations"]), f"journal {event['journal']}"]
+        case Done():
+            return [*(f"wrote {path}" for path in event.calibrations), f"journal {event.journal}"]
     return []
 
 
-def _pairs_in_words(event: Message) -> list[str]:
-    p, q, u_p, u_q = (event[key] for key in ("p", "q", "u_p", "u_q"))
+def _pairs_in_words(event: Matched | Turn) -> list[str]:
+    p, q, u_p, u_q = event.p, event.q, event.u_p, event.u_q
     return [f"{name}: p {plus_minus(p[name], u_p[name])}, q {plus_minus(q[name], u_q[name])}" for name in p]

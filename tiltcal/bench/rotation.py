@@ -16,6 +16,7 @@ import numpy as np
 
 from tiltcal.bench.devices import RECOVERY
 from tiltcal.bench.journal import unused
+from tiltcal.bench.messages import Held, Matched, Poll, Resumed, RotationQuestion, StagePair, Turn
 from tiltcal.bench.session import Session
 from tiltcal.core.model import Array
 from tiltcal.core.pair.matching import (
@@ -116,7 +117,7 @@ class TurningStage:
                 matchings, unmatched = rotation.matched(self._channels.pairs)
                 break
             except EstimateError as refusal:
-                session.refuse("rotation", str(refusal))
+                session.talk.refuse("rotation", str(refusal))
         for why in (*rotation.stuck, *unmatched):
             self._report(why)
         session.recorder.record(
@@ -125,7 +126,7 @@ class TurningStage:
         session.recorder.secure()
         suppression = {matching.pair.name: matching.suppression for matching in matchings}
         pairs = _coefficients({matching.pair.name: matching for matching in matchings})
-        session.tell("accepted", position="rotation", turns=rotation.turns, **pairs, suppression=suppression)
+        session.talk.tell(Matched(position="rotation", turns=rotation.turns, **pairs, suppression=suppression))
 
     def _collect(self) -> str:
         """Collect samples until they suffice, and return why they do."""
@@ -133,10 +134,10 @@ class TurningStage:
         since_ns, made = self._begin(), self._turns
         while True:
             why = self._take_block()
-            if session.poll(f"turning {self._taken}") is not None:
+            if session.talk.poll(Poll(), f"turning {self._taken}") is not None:
                 if self._turns >= FEWEST_TURNS:
                     return STOPPED
-                session.refuse("rotation", f"the stage has made {self._turns} whole turns; {TOO_FEW}")
+                session.talk.refuse("rotation", f"the stage has made {self._turns} whole turns; {TOO_FEW}")
             if self._turns > made:
                 made = self._turns
                 known = self._report_turn(made)
@@ -145,15 +146,15 @@ class TurningStage:
             elif why:
                 since_ns = session.recorder.now_ns()
             elif not self._turns and (idle := self._idle()) and session.recorder.now_ns() - since_ns > patience * 1e9:
-                session.refuse("rotation", f"{idle} (waited for {patience:g} s)")
+                session.talk.refuse("rotation", f"{idle} (waited for {patience:g} s)")
                 since_ns = self._begin()
 
     def _begin(self) -> int:
         """Ask the operator to let the stage turn, unless it does; return the time of it, ns since the session began."""
         if not self._is_turning:
             chosen, rotation = self._channels.pairs, self._rotation
-            pairs = [{"pair": [pair.first, pair.second], "orthogonal": pair.orthogonal} for pair in chosen]
-            self._session.ask({"ask": "rotation", "pairs": pairs, "turns": rotation.turns, "prompt": rotation.prompt})
+            pairs = [StagePair((pair.first, pair.second), pair.orthogonal) for pair in chosen]
+            self._session.talk.ask(RotationQuestion(pairs, rotation.turns, rotation.prompt))
             self._stale = True
         self._is_turning = False
         return self._session.recorder.now_ns()
@@ -200,9 +201,9 @@ class TurningStage:
         known = made >= self._due and self._match(made)
         self._due = max(self._due, made + made // EACH_OF)
         left_out = self._left_out_before + self._stream.left_out + self._damaged
-        remarks: dict[str, object] = {"unknown": self._unknown} if self._unknown else {}
-        remarks |= {"left_out": left_out} if left_out else {}
-        self._session.tell("turn", turn=made, of=self._rotation.turns, **_coefficients(self._pairs), **remarks)
+        coefficients = _coefficients(self._pairs)
+        turn = Turn(turn=made, of=self._rotation.turns, **coefficients, unknown=self._unknown, left_out=left_out)
+        self._session.talk.tell(turn)
         return known
 
     def _match(self, made: int) -> bool:
@@ -231,9 +232,9 @@ class TurningStage:
             return
         self._reported = why
         if why:
-            self._session.tell("held", why=why)
+            self._session.talk.tell(Held(why))
         else:
-            self._session.tell("resumed")
+            self._session.talk.tell(Resumed())
 
 
 def _coefficients(pairs: Mapping[str, PairCoefficients]) -> dict[str, dict[str, float]]:

@@ -22,29 +22,37 @@ from tiltcal.bench.checks import (
     require_no_turns,
     result_of,
 )
+from tiltcal.bench.conversation import Conversation
 from tiltcal.bench.devices import RECOVERY, Recorder, Sample, SensorSet, VirtualBench, connected, probe_devices
-from tiltcal.bench.guidance import SensorGuidance
 from tiltcal.bench.journal import RecordedSession, positions_of
-from tiltcal.bench.operators import LOOK, UNASKED, WORDS, Operator, as_set, understood
+from tiltcal.bench.messages import (
+    Accepted,
+    Begin,
+    Measured,
+    PositionQuestion,
+    Progress,
+    Review,
+    Settling,
+    ShownReading,
+    ShownSensor,
+)
+from tiltcal.bench.operators import Operator, as_set
 from tiltcal.bench.playback import RecordedSample
-from tiltcal.bench.reference import guidance_of, require_steady, set_by
+from tiltcal.bench.reference import require_steady, set_by
 from tiltcal.bench.settle import NEAR, Timed, Unsettled, Window, movement, wait_until_still
 from tiltcal.bench.setup import SessionFiles, Setup
-from tiltcal.core.attitude import Vector
 from tiltcal.drivers.bus.clock import session_clock
-from tiltcal.errors import HardwareError, InputError, SensorError, Stopped, UsageError
+from tiltcal.errors import SensorError, UsageError
 from tiltcal.files.calibration import CalibrationRecord
-from tiltcal.files.journal import ANSWER, POSITION, RESUMED, Journal, JournalWriter, OperatorAnswer, read_journal
+from tiltcal.files.journal import POSITION, RESUMED, Journal, JournalWriter, OperatorAnswer, read_journal
 from tiltcal.files.moments import moment_after, stamp
 from tiltcal.files.procedure import Position, Ramp
-from tiltcal.files.record import plain
 
 NUDGED = 0.002  # a change while sampling above this is a sensor that was touched, g (0.1° near level)
 NUDGED_SIGMAS = 6.0
 """And it must be this many standard uncertainties: a refusal costs the operator time, a look while settling none."""
 
 CHANGE = 0.5  # °C; a ramp's temperature that changes by less within the patience of the procedure has stopped
-MINUTE_NS = 60_000_000_000  # time between two events while a chamber soaks or a reading settles, ns
 
 
 class Session:
@@ -62,8 +70,7 @@ class Session:
     writer: JournalWriter
     accepted: list[PositionResult]
     leg: list[RecordedSample]
-    _operator: Operator
-    _expectations: Expectations
+    talk: Conversation
     _soaked: float | None
     """The temperature that the sensors have, °C; None on the way."""
 
@@ -77,10 +84,7 @@ class Session:
         self.captured = journal is not None
         self.finished = journal is not None and journal.end is not None
         self._virtual = VirtualBench(self.clock, setup.devices)
-        self._answered_ns = self._minutes = 0
-        self._chosen, self._alike = "", list[str]()
-        self._attempts = ("", 0)
-        """The position that was last asked for in vain, and how often in a row."""
+        self._alike: list[str] = []
 
     def probe(self) -> None:
         """Check before the operator starts that every device answers; a journal that has its end needs none.
@@ -93,7 +97,7 @@ class Session:
 
     def open(self, stack: ExitStack, operator: Operator) -> None:
         """Open the journal and the devices until the end of the stack, and tell the operator what begins."""
-        setup, self._operator = self.setup, operator
+        setup = self.setup
         if self.journal is None:
             self.writer = JournalWriter.create(self.files.journal, setup.header())
             self.recorded = positions_of(read_journal(self.files.journal))
@@ -106,29 +110,32 @@ class Session:
         self._go_on()
         opened = connected(setup.sensors, setup.beside, self.recorder, self._virtual)
         self.sensors = stack.enter_context(opened)
+        self.talk = Conversation(operator, self.recorder, self.recorded)
+        self.talk.sensors = self.sensors
         self.sensors.give_up(self.recorded.lost)
-        self.tell(
-            "begin",
-            title=setup.steps.title,
-            length=setup.steps.length if setup.steps.positions else "",
-            positions=[position.name for position in setup.steps.positions],
-            attitudes={position.name: position.gravity for position in setup.steps.positions},
-            headings=any(position.heading for position in setup.steps.positions),
-            accepted=[result.position.name for result in self.accepted],
-            sensors={
-                sensor.serial: {
-                    "model": model.name,
-                    "axes": sensor.orientation.names,
-                    "channels": model.channels,
-                    "unit": model.unit,
-                    "offset": model.offset,
-                    "sensitivity": model.sensitivity,
-                }
-                for sensor, model in (
-                    *zip(self.sensors.sensors, self.sensors.models.values(), strict=True),
-                    *([] if setup.reference is None else [(setup.reference, setup.reference.wired)]),
-                )
-            },
+        self.talk.tell(
+            Begin(
+                title=setup.steps.title,
+                length=setup.steps.length if setup.steps.positions else "",
+                positions=[position.name for position in setup.steps.positions],
+                attitudes={position.name: position.gravity for position in setup.steps.positions},
+                headings=any(position.heading for position in setup.steps.positions),
+                accepted=[result.position.name for result in self.accepted],
+                sensors={
+                    sensor.serial: ShownSensor(
+                        model.name,
+                        sensor.orientation.names,
+                        model.channels,
+                        model.unit,
+                        model.offset,
+                        model.sensitivity,
+                    )
+                    for sensor, model in (
+                        *zip(self.sensors.sensors, self.sensors.models.values(), strict=True),
+                        *([] if setup.reference is None else [(setup.reference, setup.reference.wired)]),
+                    )
+                },
+            )
         )
 
     def _go_on(self) -> None:
@@ -152,7 +159,7 @@ class Session:
         if isinstance(ramp := self.setup.steps, Ramp):
             self._take_leg(ramp, position)
             return
-        answer = self.ask_for(position)
+        answer = self._ask_for(position)
         if answer.answer != "ready":
             return
         asked, position = position, self._named(answer, position)
@@ -162,9 +169,8 @@ class Session:
         window = self._window(position, answer.temperature)
 
         def settling(sample: Sample, why: str, left: float) -> None:
-            self.look(actual, sample, why, seconds=left)
-            if self._operator.speaks_unasked:
-                self._heard({"ask": "settling", "position": position.name}, "settling")
+            self.talk.look(actual, sample, why, seconds=left)
+            self.talk.poll(Settling(position.name), "settling")
 
         wait_until_still(self.sensors, self.recorder, window, settling)
         self._soaked = position.temperature
@@ -179,23 +185,19 @@ class Session:
                 before = self.accepted[-1].position.name
                 raise Unsettled(f"the reference reads to the last digit what it read in {before}: is it still read?")
         result = self._result(position, actual, samples, len(without), answer.temperature)
-        self._expectations.require(result)
-        verdict = self.ask(
-            {
-                "ask": "review",
-                "position": position.name,
-                "readings": {
-                    serial: {
-                        **one,
-                        "values": one["mean"],
-                        "guidance": self._expectations.guidance(
-                            serial, [*one["mean"].values()], actual.gravity, one["temperature"]
-                        ),
-                    }
-                    for serial, one in result.values().items()
-                }
-                | self._shown_reference(samples[-1][1], position.gravity),
-            }
+        self.talk.expectations.require(result)
+        readings = {
+            serial: ShownReading(
+                one["mean"],
+                one["temperature"],
+                self.talk.expectations.guidance(serial, [*one["mean"].values()], actual.gravity, one["temperature"]),
+                one["std"],
+                one["n"],
+            )
+            for serial, one in result.values().items()
+        }
+        verdict = self.talk.ask(
+            Review(position.name, readings | self.talk.shown_reference(samples[-1][1], position.gravity))
         )
         if verdict.answer == "accept":
             self.accept(result, {"lines": [first, last], **({"without": without} if without else {})})
@@ -204,9 +206,9 @@ class Session:
         """Return the open position that an answer names in place of the one that was asked for."""
         return next((one for one in self.recorded.open if one.name == answer.position), position)
 
-    def ask_for(self, position: Position) -> OperatorAnswer:
+    def _ask_for(self, position: Position) -> OperatorAnswer:
         """Ask for a position."""
-        self._expectations = Expectations(
+        self.talk.expectations = Expectations(
             self.setup, self.sensors.sensors, self.accepted, self.judged, self.recorded.choosable, self._alike
         )
         if position.temperature != self._soaked:
@@ -217,89 +219,18 @@ class Session:
         left = self.setup.steps.in_positions().least_seconds(
             settings.samples, interval, settings.settle, done=len(names)
         )
-        self.tell("progress", position=position.name, accepted=names, seconds=left)
-        question = {
-            "ask": "position",
-            "position": position.name,
-            "tilt": position.tilt,
-            "gravity": [round(component, 9) + 0.0 for component in position.gravity],
-            "heading": position.heading or 0,
-            "temperature": position.temperature,
-            **({} if position.stage is None else {"stage": position.stage}),
-            "prompt": position.prompt,
-        }
-        answer = self.ask(question)
-        self._answered_ns, self._minutes = self.recorder.now_ns(), 0
-        if answer.answer == "redo":
-            self._count_attempt(position.name, "the program answered redo")
-        return answer
-
-    def ask(self, question: Mapping[str, Any]) -> OperatorAnswer:
-        """Return the answer to a question, which goes to the journal; ask again where it cannot be understood.
-
-        Stopped: the operator quits.
-        """
-        while True:
-            if (answer := self._heard(question, question["ask"])) is None:
-                self._show_reading(question)
-            elif answer.answer != "again" or question["ask"] != "review" or answer.position == question["position"]:
-                return answer
-
-    def poll(self, to: str) -> OperatorAnswer | None:
-        """Return what the operator said without being asked; None where that is nothing."""
-        return self._heard({"ask": "poll"}, to)
-
-    def _heard(self, question: Mapping[str, Any], to: str) -> OperatorAnswer | None:
-        """Return the answer of the operator, None where there is none yet; one that is not understood is refused."""
-        while True:
-            try:
-                said = self._operator.ask(question)
-                if said == {"answer": LOOK} or (said is None and question["ask"] in UNASKED):
-                    return None
-                answer = understood(said, WORDS[question["ask"]])
-                self.recorded.require_possible(answer, question)
-            except InputError as error:
-                other = question["ask"] if self.setup.steps.positions else "rotation"
-                self.refuse(question.get("position", other), str(error))
-                continue
-            if answer.answer == "quit":
-                raise Stopped("the operator program answered quit")
-            self.note(answer.replaced(to=to))
-            return answer
-
-    def note(self, answer: OperatorAnswer) -> None:
-        """Write an answer into the journal; ``again`` and ``back`` withdraw a position at once."""
-        self.recorder.record(ANSWER, plain(answer))
-        if answer.answer == "back":
-            self._chosen = self.accepted[-1].position.name
-        elif answer.position:
-            self._chosen = answer.position if answer.to in WORDS else ""
-        self.recorded.withdraw(answer)
-
-    @property
-    def next(self) -> Position:
-        """The position that is taken next: the one that the operator chose, else the first one that is open."""
-        choosable = self.recorded.choosable
-        return next((position for position in choosable if position.name == self._chosen), choosable[0])
-
-    def tell(self, event: str, **fields: Any) -> None:
-        """Tell the operator what has happened."""
-        self._operator.tell({"event": event, **fields})
-        if event in ("accepted", "turn"):
-            self._attempts = ("", 0)
-
-    def refuse(self, position: str, why: str) -> None:
-        """Tell the operator that an answer, or what was set, is refused; it is asked for again."""
-        self.tell("refused", position=position, why=why)
-        self._count_attempt(position, why)
-
-    def _count_attempt(self, position: str, why: str) -> None:
-        """Count that a position was asked for in vain; Stopped where that is too often for its operator."""
-        before, count = self._attempts
-        count = count + 1 if position == before else 1
-        self._attempts = (position, count)
-        if count == self._operator.most_attempts:
-            raise Stopped(f"{position} was asked for {count} times in a row in vain, the last time because {why}")
+        self.talk.tell(Progress(position.name, names, left))
+        return self.talk.ask(
+            PositionQuestion(
+                position=position.name,
+                tilt=position.tilt,
+                gravity=[round(component, 9) + 0.0 for component in position.gravity],
+                heading=position.heading or 0,
+                temperature=position.temperature,
+                stage=position.stage,
+                prompt=position.prompt,
+            )
+        )
 
     def accept(self, result: PositionResult, samples: Mapping[str, Any]) -> None:
         """Note an accepted position and the lines of its samples, and wait until it is on the disk."""
@@ -307,59 +238,11 @@ class Session:
         self.recorder.record(POSITION, {"position": result.position.name, **samples, "sensors": values})
         self.recorder.secure()
         self.recorded.accept(result)
-        stated = {
-            serial: {key: value for key, value in one.items() if value is not None} for serial, one in values.items()
-        }
-        event = {"position": result.position.name, **next(iter(stated.values()))}
-        if self.setup.reference is not None:
-            event["reference"] = result.position.tilt
-        self.tell("accepted", **event, **({"sensors": stated} if len(self.setup.sensors) > 1 else {}))
-
-    def _show_reading(self, question: Mapping[str, Any]) -> None:
-        """Take a reading that only the operator looks at."""
-        why, readings = "", {}
-        try:
-            readings = self._shown(self.sensors.read(fresh=True), question.get("gravity"))
-        except HardwareError as error:
-            why = f"no reading: {error}"
-        self.tell("look", position=question.get("position", ""), why=why, readings=readings)
-
-    def look(self, position: Position, sample: Sample, why: str, **progress: object) -> None:
-        """Show readings while the session waits or samples, and once a minute why it takes so long.
-
-        ``progress`` are the ``seconds`` that it waits at least, or the ``samples`` taken and wanted.
-        """
-        if self._operator.watches:
-            readings = self._shown(sample, position.gravity)
-            self.tell("look", position=position.name, why=why, readings=readings, **progress)
-        minutes = (self.recorder.now_ns() - self._answered_ns) // MINUTE_NS
-        if minutes > self._minutes:
-            self._minutes = minutes
-            temperature = next((one.temperature for one in sample.values() if one.temperature is not None), None)
-            seconds = round((self.recorder.now_ns() - self._answered_ns) / 1e9)
-            self.tell("waiting", position=position.name, seconds=seconds, why=why, temperature=temperature)
-
-    def _shown(self, sample: Sample, gravity: Vector | None) -> dict[str, dict[str, Any]]:
-        """Return readings as the operator gets them, by serial number, with guidance where gravity is asked for."""
-        return {
-            serial: {
-                "values": dict(zip(self.sensors.models[serial].channels, reading.values, strict=True)),
-                "temperature": reading.temperature,
-                "guidance": SensorGuidance()
-                if gravity is None
-                else self._expectations.guidance(serial, reading.values, gravity, reading.temperature),
-            }
-            for serial, reading in sample.items()
-        } | self._shown_reference(sample, gravity)
-
-    def _shown_reference(self, sample: Sample, gravity: Vector | None) -> dict[str, dict[str, Any]]:
-        """Return the reading of the reference as the operator gets it, by its name; empty where there is none."""
-        device, reading = self.setup.reference, sample.reference
-        if device is None or reading is None:
-            return {}
-        guide = SensorGuidance() if gravity is None else guidance_of(device, reading, gravity)
-        values = dict(zip(device.wired.channels, reading.values, strict=True))
-        return {device.serial: {"values": values, "temperature": None, "guidance": guide}}
+        sensors = {serial: Measured(**one) for serial, one in values.items()}
+        several = sensors if len(self.setup.sensors) > 1 else {}
+        reference = None if self.setup.reference is None else result.position.tilt
+        first = next(iter(values.values()))
+        self.talk.tell(Accepted(position=result.position.name, **first, reference=reference, sensors=several))
 
     def now(self) -> str:
         """Return the time of the last event as a stamp."""
@@ -406,7 +289,7 @@ class Session:
         while len(samples) < wanted:
             sample = sensors.read()
             samples[len(samples) + len(without)] = (self.recorder.now_ns() / 1e9, sample)
-            self.look(position, sample, f"sample {len(samples)} of {wanted}", samples=[len(samples), wanted])
+            self.talk.look(position, sample, f"sample {len(samples)} of {wanted}", samples=(len(samples), wanted))
             self.clock.sleep(sensors.interval)
             if len(samples) == wanted:
                 numbers = list(samples)
@@ -442,7 +325,7 @@ class Session:
 
         The operator answers at once: what counts is the way there.
         """
-        answer = self.ask_for(position)
+        answer = self._ask_for(position)
         if answer.answer != "ready":
             raise Unsettled(ramp.once)
         # A temperature that is typed is that of one moment; the thermometer is read all the time.
@@ -483,5 +366,5 @@ class Session:
                 since, before = now_ns, temperature
             elif now_ns - since > ramp.patience * 1e9:
                 return samples
-            self.look(position, samples[-1], f"at {temperature:.1f} °C, on the way to {wanted:g} °C")
+            self.talk.look(position, samples[-1], f"at {temperature:.1f} °C, on the way to {wanted:g} °C")
             self.clock.sleep(ramp.interval)

@@ -6,7 +6,7 @@ import io
 import os
 import select
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from itertools import zip_longest
 from types import BuiltinFunctionType
@@ -15,8 +15,24 @@ from typing import Any, TextIO
 from rich.console import Console
 from rich.text import Text
 
-from tiltcal.bench.guidance import COLUMNS, UNCALIBRATED, SensorGuidance, note_on, rows_of
-from tiltcal.bench.operators import LOOK, LineReader, Message, Operator, in_words
+from tiltcal.bench.guidance import COLUMNS, UNCALIBRATED, SensorGuidance, note_on
+from tiltcal.bench.messages import (
+    Begin,
+    Event,
+    Look,
+    PositionQuestion,
+    Progress,
+    Question,
+    Refused,
+    Review,
+    RotationQuestion,
+    ShownSensor,
+    StopAndKeep,
+    Turn,
+    Write,
+    rows_of,
+)  # fmt: skip
+from tiltcal.bench.operators import LOOK, LineReader, Operator, in_words
 from tiltcal.bench.typed import number_in
 from tiltcal.errors import InputError, Stopped
 from tiltcal.printable import in_minutes, printable
@@ -177,52 +193,59 @@ class Terminal(Operator):
         self._live = self.watches = live
         self._live_rows = 0
         self._offered: list[str] = []
-        self._positions: list[str] = []
-        self._sensors: Mapping[str, Mapping[str, Any]] = {}
+        self._positions: Sequence[str] = []
+        self._sensors: Mapping[str, ShownSensor] = {}
         self._remaining = ""
-        self._asked: Message = {}
+        self._asked: PositionQuestion | None = None
         self._answer: dict[str, Any] = {}
 
-    def ask(self, question: Message) -> object:
+    def ask(self, question: Question) -> object:
         """Show the person what to do, and wait for a key."""
-        asks: dict[str, Callable[[Message], object]] = {
-            "position": self._position, "rotation": self._rotation, "poll": self._poll, "review": self._review,
-            "write": self._write, "stop": self._stop,
-        }  # fmt: skip
-        return asks[question["ask"]](question)
+        match question:
+            case PositionQuestion():
+                return self._position(question)
+            case RotationQuestion():
+                return self._rotation(question)
+            case Review():
+                return self._review(question)
+            case Write():
+                return self._write(question)
+            case StopAndKeep():
+                return self._stop(question)
+        return self._poll()
 
-    def tell(self, event: Message) -> None:
+    def tell(self, event: Event) -> None:
         """Show an event."""
-        if event["event"] == "refused":
+        if isinstance(event, Refused):
             self._ring()
-        match event["event"]:
-            case "begin":
-                self._positions, self._sensors = event["positions"], event["sensors"]
-                self._say(f"\n{'  '.join(filter(None, (event['title'], event['length'])))}", "bold")
-                if event["accepted"]:
-                    self._say(f"  kept from before: {', '.join(event['accepted'])}")
-            case "progress":
-                self._remaining = f"about {in_minutes(event['seconds'])} left"
-            case "look" if self._live:
+        match event:
+            case Begin():
+                self._positions, self._sensors = event.positions, event.sensors
+                self._say(f"\n{'  '.join(filter(None, (event.title, event.length)))}", "bold")
+                if event.accepted:
+                    self._say(f"  kept from before: {', '.join(event.accepted)}")
+            case Progress():
+                self._remaining = f"about {in_minutes(event.seconds)} left"
+            case Look() if self._live:
                 self._show(event)
-            case "turn" if self._live:
+            case Turn() if self._live:
                 self._overwrite([in_words(event)[0].strip()])
-            case kind:
+            case _:
                 for line in in_words(event):
-                    self._say(line, "green" if line.startswith("wrote ") else STYLES.get(kind, ""))
+                    self._say(line, "green" if line.startswith("wrote ") else STYLES.get(event.kind, ""))
 
-    def _position(self, question: Message) -> object:
+    def _position(self, question: PositionQuestion) -> object:
         """Show what to set, until a key is pressed; where none is for a moment, ask for a reading to show."""
         if question is not self._asked:
             self._asked, self._answer = question, {}
-            name = question["position"]
+            name = question.position
             number = self._positions.index(name) + 1 if name in self._positions else len(self._positions)
             self._say(f"\n{number}/{len(self._positions)}  {name}   {self._remaining}", "bold cyan")
-            self._say(f"  {question['prompt']}")
-            if question["temperature"] is not None:
-                self._say(f"  at {question['temperature']:g} °C")
-            if "stage" in question:
-                self._say(f"  stage at {question['stage']:g}°")
+            self._say(f"  {question.prompt}")
+            if question.temperature is not None:
+                self._say(f"  at {question.temperature:g} °C")
+            if question.stage is not None:
+                self._say(f"  stage at {question.stage:g}°")
             self._hint(
                 "Enter measure", "a angle set", "t temperature", "b back", "p another position", "q stop and keep"
             )
@@ -234,18 +257,18 @@ class Terminal(Operator):
             if key == "q":
                 raise Stopped("stopped by the operator")
             if key in (ENTER, "b", "r"):
-                self._asked = {}
+                self._asked = None
                 word = {ENTER: "ready", "b": "back", "r": "redo"}[key]
                 return {"answer": word, **(self._answer if key == ENTER else {})}
             if key == "p":
                 if named := self._named():
-                    self._asked = {}
+                    self._asked = None
                     return named
             elif key == "t":
                 typed = self._typed("temperature in °C", "temperature")
                 self._answer |= {"temperature": typed[0]} if typed else {}
-            elif key == "a" and question["tilt"] is not None:
-                for axis, angle in question["tilt"].items():
+            elif key == "a" and question.tilt is not None:
+                for axis, angle in question.tilt.items():
                     for tilt in self._typed(f"tilt of {axis} actually set, in degrees (asked {angle:g})", "tilt"):
                         self._answer["tilt"] = {**self._answer.get("tilt", {}), axis: tilt}
             elif key == "a":
@@ -256,30 +279,30 @@ class Terminal(Operator):
             key = self._keys.choice(0.0 if self._live else None)
         return {"answer": LOOK}
 
-    def _rotation(self, question: Message) -> object:
-        for pair in question["pairs"]:
-            self._say(f"  {' and '.join(pair['pair'])}, orthogonal {pair['orthogonal']}")
-        self._say(f"  {question['prompt']}")
-        self._hint(f"Enter the stage turns, up to {question['turns']} turns", "q stop and keep")
+    def _rotation(self, question: RotationQuestion) -> object:
+        for pair in question.pairs:
+            self._say(f"  {' and '.join(pair.pair)}, orthogonal {pair.orthogonal}")
+        self._say(f"  {question.prompt}")
+        self._hint(f"Enter the stage turns, up to {question.turns} turns", "q stop and keep")
         self._choice(ENTER)
         self._hint("s stop and use the turns so far", "q stop and keep")
         return {"answer": "ready"}
 
-    def _poll(self, question: Message) -> object:
+    def _poll(self) -> object:
         key = self._keys.pressed("sq")
         if key == "q":
             raise Stopped("stopped by the operator")
         return {"answer": "stop"} if key == "s" else None
 
-    def _review(self, question: Message) -> object:
+    def _review(self, question: Review) -> object:
         """Show what was set and measured, its difference and noise, and ask whether it counts."""
         self.clear()
         self._ring()
-        rows = [(list(COLUMNS), None), *rows_of(question["readings"], self._sensors)]
-        for serial, reading in question["readings"].items():
-            if "" in reading["guidance"].differences:
-                self._say(f"{serial}  {reading['guidance'].in_words()[0]}")
-        if (note := note_on([reading["guidance"] for reading in question["readings"].values()])) != UNCALIBRATED:
+        rows = [(list(COLUMNS), None), *rows_of(question.readings, self._sensors)]
+        for serial, reading in question.readings.items():
+            if "" in reading.guidance.differences:
+                self._say(f"{serial}  {reading.guidance.in_words()[0]}")
+        if (note := note_on([reading.guidance for reading in question.readings.values()])) != UNCALIBRATED:
             self._say(f"  {note}")
         widths = [max(map(len, column)) for column in zip_longest(*(cells for cells, _ in rows), fillvalue="")]
         for cells, ok in rows:
@@ -288,19 +311,19 @@ class Terminal(Operator):
         self._hint("Enter accept", "r redo", "b back", "p another position", "q stop and keep")
         return self._answered({ENTER: "accept", "r": "redo", "b": "back"})
 
-    def _write(self, question: Message) -> object:
+    def _write(self, question: Write) -> object:
         """Ask once more before the files are written."""
-        files = question["files"]
+        files = question.files
         named = ", ".join(f"{path} (replaces the one there)" if os.path.exists(path) else path for path in files)
         self._say(f"\nEverything is measured. Write {named}?")
         self._hint("Enter write", "b back", "p another position", "n stop and keep")
         words = {ENTER: "yes", "y": "yes", "b": "back", "n": "quit"}
         return self._answered(words, quits="not written: the operator declined")
 
-    def _stop(self, question: Message) -> object:
+    def _stop(self, question: StopAndKeep) -> object:
         """Say why nothing can be written, and wait for the end."""
         self._ring()
-        self._say(f"\n  {question['why']}", "bold red")
+        self._say(f"\n  {question.why}", "bold red")
         self._hint("q stop and keep", "b back", "p another position")
         return self._answered({"b": "back"})
 
@@ -373,23 +396,23 @@ class Terminal(Operator):
             self._console.file.flush()
             self._live_rows = 0
 
-    def _show(self, look: Message) -> None:
+    def _show(self, look: Look) -> None:
         """Show the readings of all sensors, a row each, below their targets: what a row has no room for is left out."""
-        readings, rows, targets = look["readings"], [], ""
+        readings, rows, targets = look.readings, [], ""
         width = max([6, *map(len, readings)])
         for serial, reading in readings.items():
-            unit = self._sensors[serial]["unit"]
-            guide: SensorGuidance = reading["guidance"]
+            unit = self._sensors[serial].unit
+            guide: SensorGuidance = reading.guidance
             cells = "".join(words.ljust(22) for words in guide.in_words())
-            raw = " ".join(f"{value:.6g}" for value in reading["values"].values())
-            warmth = "" if reading["temperature"] is None else f"{reading['temperature']:.1f} °C"
+            raw = " ".join(f"{value:.6g}" for value in reading.values.values())
+            warmth = "" if reading.temperature is None else f"{reading.temperature:.1f} °C"
             aims = [(channel, tilt.target) for channel, tilt in guide.tilts.items() if tilt.target is not None]
             asked = "".join(f"{channel} {target:+7.2f}°".ljust(22) for channel, target in aims)
             if asked and asked != targets:
                 rows.append(self._fitting(f"{'target':<{width}}  {asked}"))
             targets = asked
             rows.append(self._fitting(f"{serial:<{width}}  {cells}".rstrip(), warmth, f"{raw} {unit}"))
-        rows.append(look["why"] or f"live, {note_on([reading['guidance'] for reading in readings.values()])}")
+        rows.append(look.why or f"live, {note_on([reading.guidance for reading in readings.values()])}")
         self._overwrite(rows)
 
     def _fitting(self, row: str, *more: str) -> str:

@@ -13,8 +13,30 @@ from contextlib import ExitStack
 from math import atan2, degrees, hypot, sqrt
 from typing import TYPE_CHECKING, Any
 
-from tiltcal.bench.guidance import COLUMNS, UNCALIBRATED, SensorGuidance, level_sides, note_on, rows_of, whether_all
-from tiltcal.bench.operators import LOOK, Message, Operator, in_words
+from tiltcal.bench.guidance import COLUMNS, UNCALIBRATED, level_sides, note_on, whether_all
+from tiltcal.bench.messages import (
+    Accepted,
+    Afterwards,
+    Begin,
+    Done,
+    Event,
+    Live,
+    Look,
+    Poll,
+    PositionQuestion,
+    Progress,
+    Question,
+    Readings,
+    Refused,
+    Report,
+    Results,
+    Review,
+    RotationQuestion,
+    StopAndKeep,
+    Write,
+    rows_of,
+)  # fmt: skip
+from tiltcal.bench.operators import LOOK, Operator, in_words
 from tiltcal.bench.page_server import PageServer, PageState
 from tiltcal.bench.page_token import PageToken
 from tiltcal.core.attitude import Vector
@@ -82,13 +104,13 @@ class WebOperator(Operator):
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._state, self._reports, self._hands_free, self._clock = state, reports, hands_free, clock
-        self._asked: Message | None = None
+        self._asked: Question | None = None
         """The question that is shown; None where it is to be shown again."""
-        self._target: Message = {}
-        """The last position that was asked for."""
+        self._target: Vector | None = None
+        """What the last position that was asked for has point up."""
         self._taken = ""
         """The position that free hands have taken."""
-        self._begin: Message = {"positions": [], "sensors": {}, "attitudes": {}, "headings": False}
+        self._begin = Begin(title="", positions=[], attitudes={}, headings=False, accepted=[], sensors={})
         self._readings: deque[tuple[float, dict[str, Vector]]] = deque()
         """Times, s, and directions by serial number, as the sensors read them."""
         self._before: dict[str, Vector] = {}
@@ -102,9 +124,8 @@ class WebOperator(Operator):
             results=[], live={}, log=[], sounds={}, read_ms=0, ended=False,
         )  # fmt: skip
 
-    def ask(self, question: Message) -> object:
+    def ask(self, question: Question) -> object:
         """Return the answer of the page; to a position that nobody answers for a moment, ask for a reading to show."""
-        kind = question["ask"]
         begins = question != self._asked
         if begins:
             self._asked = question
@@ -112,124 +133,123 @@ class WebOperator(Operator):
         answer: dict[str, Any] | None
         if free := self._free_answer(question):
             answer = self._state.withdraw() or {"answer": free}
-        elif kind == "poll":
+        elif isinstance(question, Poll):
             answer = self._state.wait(0.0)
-        elif kind in ("position", "afterwards"):
+        elif isinstance(question, PositionQuestion | Afterwards):
             answer = self._state.wait(0.0 if begins else LIVE_PAUSE)
         else:
             while (answer := self._state.wait(PATIENCE)) is None:
                 pass
         if answer is None:
-            return None if kind == "poll" else {"answer": LOOK}
+            return None if isinstance(question, Poll) else {"answer": LOOK}
         self._asked = None
-        self._taken = question["position"] if kind == "position" and answer == {"answer": free} else ""
+        by_itself = isinstance(question, PositionQuestion) and answer == {"answer": free}
+        self._taken = question.subject if by_itself else ""
         self._state.show(refused="", doing="")
         if answer.get("answer") in ("redo", "back"):
             self._before = {}
         if answer.get("answer") == "quit":
-            raise Stopped("not written: the operator declined" if kind == "write" else "stopped by the operator")
+            declined = isinstance(question, Write)
+            raise Stopped("not written: the operator declined" if declined else "stopped by the operator")
         return answer
 
-    def tell(self, event: Message) -> None:
+    def tell(self, event: Event) -> None:
         """Show an event, and list it where it has words."""
-        match event["event"]:
-            case "begin":
-                self._begin, self._before, self._target = event, {}, {}
-                title = "  ".join(filter(None, (event["title"], event["length"])))
-                self._state.show(title=title, positions=event["positions"], accepted=event["accepted"])
-            case "progress":
+        match event:
+            case Begin():
+                self._begin, self._before, self._target = event, {}, None
+                title = "  ".join(filter(None, (event.title, event.length)))
+                self._state.show(title=title, positions=event.positions, accepted=event.accepted)
+            case Progress():
                 # A person, or a table that asks nobody, sets the position now.
-                self._target = {"gravity": self._begin["attitudes"].get(event["position"])}
+                self._target = self._begin.attitudes.get(event.position)
                 self._guide = None
                 self._readings.clear()
-                name, step = event["position"], self._step(event["position"])
-                self._state.show(
-                    accepted=event["accepted"], now=name, step=step, prompt=name, remaining=event["seconds"]
-                )
-            case "look":
+                name, step = event.position, self._step(event.position)
+                self._state.show(accepted=event.accepted, now=name, step=step, prompt=name, remaining=event.seconds)
+            case Look():
                 self._show_reading(event)
-            case "refused":
+            case Refused():
                 self._before, self._taken = {}, ""
-                self._state.show(refused=event["why"], doing="", samples=None, soak=None, **self._sound("refused"))
-            case "accepted" if "mean" in event:
-                sensors = event.get("sensors") or {next(iter(self._begin["sensors"])): event}
-                self._before = {serial: self._direction(serial, one["mean"]) for serial, one in sensors.items()}
-                self._state.show(table=None, refused="", doing=f"accepted {event['position']}")
-            case "done":
+                self._state.show(refused=event.why, doing="", samples=None, soak=None, **self._sound("refused"))
+            case Accepted():
+                measured = event.by_serial(self._begin.sensors).items()
+                self._before = {serial: self._direction(serial, one.mean) for serial, one in measured}
+                self._state.show(table=None, refused="", doing=f"accepted {event.position}")
+            case Done():
                 self._state.show(**self._sound("done"))
-            case "results":
-                self._state.show(results=event["results"])
-            case "live":
-                self._state.show(live=event["tilts"], **_moment())
-            case "report":
-                self._reports[f"/report/{event['sensor']}"] = event["page"]
+            case Results():
+                self._state.show(results=event.results)
+            case Live():
+                self._state.show(live=event.tilts, **_moment())
+            case Report():
+                self._reports[f"/report/{event.sensor}"] = event.page
         if lines := in_words(event):
-            listed = ({"kind": event["event"], "text": line.strip()} for line in lines)
+            listed = ({"kind": event.kind, "text": line.strip()} for line in lines)
             self._log = [*self._log, *listed][-LOGGED:]
             self._state.show(log=self._log)
 
-    def _show_question(self, question: Message) -> None:
+    def _show_question(self, question: Question) -> None:
         """Show what is asked, in place of what was asked before."""
-        kind, positions = question["ask"], self._begin["positions"]
+        positions = self._begin.positions
         fields: dict[str, Any] = {"conditions": [], "samples": None, "soak": None}
-        match kind:
-            case "position":
-                self._target = question
-                fields |= {"prompt": question["prompt"], "conditions": list(_conditions(question))}
-            case "review":
-                means = question["readings"]
+        match question:
+            case PositionQuestion():
+                self._target = question.up
+                fields |= {"prompt": question.prompt, "conditions": list(_conditions(question))}
+            case Review():
+                means = question.readings
                 fields |= {
                     "table": self._table(means),
                     "guide": self._guided(means),
                     "doing": "sampled: does it count?",
                 }
                 fields |= self._sound("sampled")
-            case "rotation":
-                pairs = [f"{' and '.join(pair['pair'])}, orthogonal {pair['orthogonal']}" for pair in question["pairs"]]
-                fields |= {"step": f"up to {question['turns']} turns", "conditions": pairs}
-                fields["prompt"] = question["prompt"]
-            case "stop":
-                fields |= {"accepted": positions, "step": "stop and keep", "prompt": question["why"], "doing": ""}
-            case "write" | "afterwards":
-                prompt = question.get("prompt") or f"Write {', '.join(question['files'])}?"
+            case RotationQuestion():
+                pairs = [f"{' and '.join(pair.pair)}, orthogonal {pair.orthogonal}" for pair in question.pairs]
+                fields |= {"step": f"up to {question.turns} turns", "conditions": pairs, "prompt": question.prompt}
+            case StopAndKeep():
+                fields |= {"accepted": positions, "step": "stop and keep", "prompt": question.why, "doing": ""}
+            case Write() | Afterwards():
+                prompt = f"Write {', '.join(question.files)}?" if isinstance(question, Write) else question.prompt
                 fields |= {"accepted": positions, "step": "everything is measured", "prompt": prompt, "doing": ""}
                 fields |= {"table": None, "guide": None, "remaining": None}
         self._state.show(**fields)
-        self._state.ask(question)
+        self._state.ask(question.as_data())
 
     def _step(self, position: str) -> str:
         """Return which position of how many it is."""
-        positions = self._begin["positions"]
+        positions = self._begin.positions
         return (
             f"{positions.index(position) + 1} of {len(positions)}   {position}" if position in positions else position
         )
 
-    def _show_reading(self, look: Message) -> None:
+    def _show_reading(self, look: Look) -> None:
         """Show readings, how far they are from the position, and why the session waits."""
-        now, readings = self._clock(), look["readings"]
-        if look["why"] and self._readings and now - self._readings[-1][0] < PACE:
+        now, readings = self._clock(), look.readings
+        if look.why and self._readings and now - self._readings[-1][0] < PACE:
             return  # a virtual session takes a hundred samples at once
-        directions = {serial: self._direction(serial, one["values"]) for serial, one in readings.items()}
+        directions = {serial: self._direction(serial, one.values) for serial, one in readings.items()}
         self._readings.append((now, directions))
         while now - self._readings[0][0] > STILL_FOR:
             self._readings.popleft()
         self._guide = self._guided(readings)
-        samples, seconds = look.get("samples"), look.get("seconds")
-        free = self._hands_free and not look["why"] and self._asked is not None
-        waits = self._waits_for(self._asked) if free and self._asked and self._asked["ask"] == "position" else ""
-        doing = "" if samples else look["why"] or (waits and f"hands-free: {waits}")
+        samples, seconds = look.samples, look.seconds
+        free = self._hands_free and not look.why
+        waits = self._waits_for(self._asked) if free and isinstance(self._asked, PositionQuestion) else ""
+        doing = "" if samples else look.why or (waits and f"hands-free: {waits}")
         self._state.show(
             guide=self._guide, table=self._table(readings), doing=doing, samples=samples, soak=seconds, **_moment()
         )
 
-    def _guided(self, readings: Mapping[str, Any]) -> dict[str, Any] | None:
+    def _guided(self, readings: Readings) -> dict[str, Any] | None:
         """Return what the page draws of readings and the position that is set; None where there is no position.
 
         Where nothing predicts a reading, as of attitudes that nobody sets, there is no target.
         """
-        if self._target.get("gravity") is None:
+        if self._target is None:
             return None
-        guides: dict[str, SensorGuidance] = {serial: reading["guidance"] for serial, reading in readings.items()}
+        guides = {serial: reading.guidance for serial, reading in readings.items()}
         offs = {(serial, name): off for serial, one in guides.items() for name, off in one.differences.items()}
         shares = {which: off.share for which, off in offs.items() if off.share is not None}
         worst = max(shares, key=lambda which: shares[which], default=None)
@@ -243,8 +263,8 @@ class WebOperator(Operator):
         note = note_on(list(guides.values()))
         aimed = any(tilt.target is not None for one in guides.values() for tilt in one.tilts.values())
         return {
-            "target": self._target["gravity"] if aimed else None,
-            "sides": [name for name, _ in level_sides(self._target["gravity"])],
+            "target": self._target if aimed else None,
+            "sides": [name for name, _ in level_sides(self._target)],
             "sensors": sensors,
             "worst": None if worst is None else {"axis": worst[1], **offs[worst]._asdict()},
             "fits": whether_all(one.fits for one in guides.values()),
@@ -255,8 +275,8 @@ class WebOperator(Operator):
 
     def _direction(self, serial: str, values: Mapping[str, float]) -> Vector:
         """Return the direction that a sensor reads by its nominal coefficients; a z that it has not is positive."""
-        sensor = self._begin["sensors"][serial]
-        sines = {name: (value - sensor["offset"]) / sensor["sensitivity"] for name, value in values.items()}
+        sensor = self._begin.sensors[serial]
+        sines = {name: (value - sensor.offset) / sensor.sensitivity for name, value in values.items()}
         x, y = sines.get("x", 0.0), sines.get("y", 0.0)
         return x, y, sines.get("z", sqrt(max(1.0 - x * x - y * y, 0.0)))
 
@@ -273,21 +293,22 @@ class WebOperator(Operator):
             turns.append(_apart(first, second) if len(read) == len(rows) else 180.0)
         return min(1.0, MOVING / max(max(turns[1:], default=180.0), 1e-9))
 
-    def _free_answer(self, question: Message) -> str:
+    def _free_answer(self, question: Question) -> str:
         """Return the answer that free hands give to a question; nothing where a person has to."""
         if not self._hands_free:
             return ""
-        if question["ask"] == "review" and question["position"] == self._taken:
-            return "accept" if all(one["guidance"].fits for one in question["readings"].values()) else ""
-        return "ready" if question["ask"] == "position" and self._readings and not self._waits_for(question) else ""
+        if isinstance(question, Review) and question.position == self._taken:
+            return "accept" if all(one.guidance.fits for one in question.readings.values()) else ""
+        asked = isinstance(question, PositionQuestion) and self._readings and not self._waits_for(question)
+        return "ready" if asked else ""
 
-    def _waits_for(self, question: Message) -> str:
+    def _waits_for(self, question: PositionQuestion) -> str:
         """Return why free hands do not take a position yet; empty where it is as expected, another one, and still."""
         guide, now = self._guide, self._readings[-1][1]
         for stated, what in (
-            (question["temperature"] is not None, "a temperature"),
-            ("stage" in question, "an angle of the stage"),
-            (self._begin["headings"], "a heading"),
+            (question.temperature is not None, "a temperature"),
+            (question.stage is not None, "an angle of the stage"),
+            (self._begin.headings, "a heading"),
             (not self._before, "the first position, and one after a refusal or a step back,"),
         ):
             if stated:
@@ -300,11 +321,11 @@ class WebOperator(Operator):
             return "reads as the position before: a sensor that cannot see the turn asks a person: press Measure"
         return "" if guide["still"] >= 1.0 else "waits until it stands still"
 
-    def _table(self, readings: Mapping[str, Any]) -> dict[str, Any]:
+    def _table(self, readings: Readings) -> dict[str, Any]:
         """Return the table of readings, or of the means of a review."""
-        rows = list(rows_of(readings, self._begin["sensors"]))
+        rows = list(rows_of(readings, self._begin.sensors))
         width = max((len(cells) for cells, _ in rows), default=1)
-        calibrated = any(one["guidance"].calibrated for one in readings.values())
+        calibrated = any(one.guidance.calibrated for one in readings.values())
         head = ["calibrated" if calibrated else "not calibrated yet", *COLUMNS[1:width]]
         filled = [place for place in range(width) if any("".join(cells[place : place + 1]) for cells, _ in rows)]
         return {
@@ -325,14 +346,14 @@ def _end(*, finished: bool) -> dict[str, Any]:
     return {"step": "the session has ended", "prompt": said, "conditions": [], "doing": "", **empty}
 
 
-def _conditions(question: Message) -> Iterator[str]:
+def _conditions(question: PositionQuestion) -> Iterator[str]:
     """Yield what a position asks for besides its attitude."""
-    if question["temperature"] is not None:
-        yield f"at {question['temperature']:g} °C"
-    if "stage" in question:
-        yield f"stage at {question['stage']:g}°"
-    if question["heading"]:
-        yield f"heading {question['heading']:g}°"
+    if question.temperature is not None:
+        yield f"at {question.temperature:g} °C"
+    if question.stage is not None:
+        yield f"stage at {question.stage:g}°"
+    if question.heading:
+        yield f"heading {question.heading:g}°"
 
 
 def _apart(first: Sequence[float], second: Sequence[float]) -> float:

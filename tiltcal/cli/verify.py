@@ -10,6 +10,7 @@ import click
 
 from tiltcal.bench.live import require_as_calibrated
 from tiltcal.bench.measure import led_by
+from tiltcal.bench.messages import Done, Results
 from tiltcal.bench.options import MeasureOptions
 from tiltcal.bench.session import Session
 from tiltcal.bench.setup import Setup, free_journal, single
@@ -75,8 +76,8 @@ def command(
     with led_by(operator, session, again, remark, stated) as opened:
         verification = verified(session, opened, {judged.sensor.serial: judged}, limit)[judged.sensor.serial]
         shown = {"serial": judged.sensor.serial, "file": str(calibration), "verdict": str(verification)}
-        opened.tell({"event": "results", "results": [shown]})
-        opened.tell({"event": "done", "calibrations": [], "journal": str(session.files.journal)})
+        opened.tell(Results([shown]))
+        opened.tell(Done([], str(session.files.journal)))
     if verification.jig is None:
         remark("no --jig is stated: the positions count as exact")
     # What a program reads is JSON to the last line.

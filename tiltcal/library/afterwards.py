@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
 
 from tiltcal.bench.journal import positions_of
 from tiltcal.bench.live import live_tilts
 from tiltcal.bench.measure import run_session
-from tiltcal.bench.operators import LOOK, Message, Operator
+from tiltcal.bench.messages import Afterwards as Question
+from tiltcal.bench.messages import Live, Refused, Report, Results
+from tiltcal.bench.operators import LOOK, Operator
 from tiltcal.bench.session import Session
 from tiltcal.bench.setup import Setup, free_journal
 from tiltcal.calibration.record import tilt_lines, tilt_uncertainty
@@ -48,7 +49,7 @@ class Afterwards:
         self._operator, self._session, self._saved, self._remark = operator, session, calibrations, remark
         self._of_tilt = {serial: one.record for serial, one in calibrations.items() if isinstance(one, Calibration)}
         self._devices = [device for device in session.setup.sensors if device.serial in self._of_tilt]
-        self._results: dict[str, dict[str, Any]] = {
+        self._results: dict[str, dict[str, object]] = {
             serial: {"serial": serial, "file": str(session.files.outputs[serial]), "summary": str(one)}
             for serial, one in calibrations.items()
         }
@@ -59,7 +60,7 @@ class Afterwards:
     def show(self) -> None:
         """Show the results and what follows until somebody finishes."""
         while True:
-            self._operator.tell({"event": "results", "results": list(self._results.values())})
+            self._operator.tell(Results(list(self._results.values())))
             answer = self._answer()
             try:
                 match answer:
@@ -70,27 +71,27 @@ class Afterwards:
                     case "report":
                         self._report()
             except TiltcalError as error:
-                self._operator.tell({"event": "refused", "position": answer, "why": f"not finished: {error}"})
+                self._operator.tell(Refused(answer, f"not finished: {error}"))
 
     def _answer(self) -> str:
         """Return what somebody chooses; until then show the live tilt, or why there is none."""
-        question = {"ask": "afterwards", "verify": bool(self._of_tilt), "prompt": "Calibrated. The tilt here is live."}
+        question = Question(verify=bool(self._of_tilt), prompt="Calibrated. The tilt here is live.")
         while True:
             try:
                 with live_tilts(self._devices, self._of_tilt, self._session.setup.thermometer) as read:
                     while (answer := self._asked(question)) == LOOK:
                         tilts = {serial: tilt.in_words() for serial, tilt in read().items()}
-                        self._operator.tell({"event": "live", "tilts": tilts})
+                        self._operator.tell(Live(tilts))
                     return answer
             except HardwareError as error:
                 dead = {serial: [("no reading", str(error), "")] for serial in self._of_tilt}
-                self._operator.tell({"event": "live", "tilts": dead})
+                self._operator.tell(Live(dead))
             if (answer := self._asked(question)) != LOOK:
                 return answer
 
-    def _asked(self, question: Message) -> str:
-        answer: Any = self._operator.ask(question)
-        return str(answer.get("answer"))
+    def _asked(self, question: Question) -> str:
+        answer = self._operator.ask(question)
+        return str(answer.get("answer")) if isinstance(answer, Mapping) else ""
 
     def _verify(self) -> None:
         """Measure the positions of ``verify`` with all sensors, and judge each."""
@@ -116,8 +117,8 @@ class Afterwards:
     def _report(self) -> None:
         """Write the report of each calibration beside its file, and serve it."""
         for serial, one in self._saved.items():
-            path = Path(self._results[serial]["file"]).with_suffix(".html")
+            path = Path(str(self._results[serial]["file"])).with_suffix(".html")
             one.report(path)
-            self._operator.tell({"event": "report", "sensor": serial, "page": path.read_bytes()})
+            self._operator.tell(Report(serial, path.read_bytes()))
             self._results[serial]["report"] = path.name
             self._remark(f"wrote {path}")

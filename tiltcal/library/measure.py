@@ -12,6 +12,7 @@ from typing import Any, Unpack
 
 from tiltcal.bench.journal import SessionResult
 from tiltcal.bench.measure import led_by, run_session
+from tiltcal.bench.messages import Done
 from tiltcal.bench.options import MeasureOptions, PlanOptions, unheard
 from tiltcal.bench.reference import reference_of, uncertainty_with
 from tiltcal.bench.session import Session
@@ -160,7 +161,7 @@ def measure(procedure: str | Path | None = None, **options: Unpack[MeasureOption
     with led_by(operator, session, "measure", remark, given) as opened:
         outcome = run_session(session, opened)
         files = [str(path) for path in session.files.write(outcome.texts(), remark)]
-        opened.tell({"event": "done", "calibrations": files, "journal": str(session.files.journal)})
+        opened.tell(Done(files, str(session.files.journal)))
         if outcome.lost:
             raise HardwareError("no calibration file for " + "; ".join(outcome.lost.values()))
         results = _results(session, outcome, remark, None if operator == "json" else result)

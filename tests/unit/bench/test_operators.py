@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import os
 
+from tiltcal.bench.messages import Accepted, Begin, ShownSensor
 from tiltcal.bench.operators import LineReader, VirtualJig
 
 
@@ -31,10 +32,9 @@ def test_a_stream_without_a_descriptor_is_read_as_it_is() -> None:
 def test_the_virtual_jig_numbers_a_position_that_a_resumed_session_only_reports() -> None:
     """It was accepted before the interruption, so it is not asked for again."""
     said: list[str] = []
-    operator, sensors = VirtualJig(said.append), {"S-1": {"unit": "count"}}
-    begin = {"positions": ["first", "level"], "sensors": sensors, "title": "A title", "length": "2 positions"}
-    operator.tell({"event": "begin", **begin})
-    measured = {"mean": {"x": 1045.25}, "std": {"x": 0.65}, "n": 20, "temperature": 24.93}
-    operator.tell({"event": "accepted", "position": "level", **measured})
+    operator, sensors = VirtualJig(said.append), {"S-1": ShownSensor("any", ("x", "y", "z"), ("x",), "count", 0.0, 1.0)}
+    begin = {"positions": ["first", "level"], "attitudes": {}, "headings": False, "accepted": ["first", "level"]}
+    operator.tell(Begin(title="A title", length="2 positions", sensors=sensors, **begin))
+    operator.tell(Accepted("level", {"x": 1045.25}, {"x": 0.65}, 20, 24.93))
     assert said[0] == "A title: 2 positions"
     assert said[1].startswith("  2/2 level ")

@@ -36,11 +36,11 @@ def test_both_pairs_find_the_truth_and_agree_with_a_regression() -> None:
         # 2 s / (A sqrt(n)), the amplitude being that of the first accelerometer
         amplitude = float(np.hypot(*disk.judged(used, used.readings[:, indices[0]])))
         assert matching.u_p == pytest.approx(2 * 3e-4 / amplitude / 3000**0.5, rel=0.2)
-    assert [(turn["turn"], turn["of"]) for turn in attendant.turns] == [(number, 30) for number in range(1, 31)]
-    uncertainties = [turn["u_p"]["a1_a2"] for turn in attendant.turns[2:7]]  # fewer turns do not show their phase
+    assert [(turn.turn, turn.of) for turn in attendant.turns] == [(number, 30) for number in range(1, 31)]
+    uncertainties = [turn.u_p["a1_a2"] for turn in attendant.turns[2:7]]  # fewer turns do not show their phase
     assert uncertainties == sorted(uncertainties, reverse=True)
     assert attendant.told == []
-    assert attendant.accepted["p"] == {one.pair.name: pytest.approx(one.p, abs=1e-9) for one in found.matchings}
+    assert attendant.accepted.p == {one.pair.name: pytest.approx(one.p, abs=1e-9) for one in found.matchings}
 
 
 def test_it_stops_where_p_and_q_are_known_as_asked() -> None:
@@ -139,7 +139,7 @@ def test_a_line_that_stays_away_ends_the_session_which_goes_on_once_it_is_back(t
         turned(printed[-9:], Attendant(), turns=8, journal=journal, resume=True)
     attendant = Attendant()
     found = turned(RECORD.lines()[745:], attendant, turns=8, journal=journal, resume=True)
-    assert attendant.turns[0]["turn"] > 5
+    assert attendant.turns[0].turn > 5
     assert near(found.matchings[0], disk.truth())
 
 
@@ -151,6 +151,6 @@ def test_pairs_without_a_signal_are_left_out_with_the_reason() -> None:
     assert [matching.pair for matching in found.matchings] == [A1_A2]
     (why,) = found.provenance.not_matched
     assert "a3 has no clear signal at the spin frequency" in why
-    assert "a3 has no clear signal at the spin frequency" in attendant.turns[-1]["unknown"]["a3_a4"]
-    assert list(attendant.turns[-1]["p"]) == ["a1_a2"]
+    assert "a3 has no clear signal at the spin frequency" in attendant.turns[-1].unknown["a3_a4"]
+    assert list(attendant.turns[-1].p) == ["a1_a2"]
     assert attendant.told == [why]

@@ -10,17 +10,28 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
+from msgspec.structs import replace
 from rich.console import Console
 
 from tiltcal.bench.guidance import AxisTilt, Difference, SensorGuidance
+from tiltcal.bench.messages import (
+    Begin,
+    Look,
+    PositionQuestion,
+    Progress,
+    Refused,
+    Review,
+    ShownReading,
+    ShownSensor,
+)  # fmt: skip
 from tiltcal.bench.operators import understood
 from tiltcal.bench.terminal import ENTER, LineKeys, Terminal, TerminalKeys
 from tiltcal.errors import InputError, Stopped
 
-LEVEL = {
-    "ask": "position", "position": "level", "tilt": {"x": 0.0, "y": 0.0}, "gravity": [0, 0, 1], "heading": 0,
-    "temperature": None, "prompt": "Lay it level.",
-}  # fmt: skip
+LEVEL = PositionQuestion(
+    position="level", tilt={"x": 0.0, "y": 0.0}, gravity=[0, 0, 1], heading=0, temperature=None, prompt="Lay it level.",
+)  # fmt: skip
+SENSOR = ShownSensor("any", ("x", "y", "z"), ("x", "y"), "count", 1024.0, 819.0)
 
 
 def test_a_line_with_a_key_is_taken_where_it_waits_and_the_end_is_told_when_a_question_is_asked() -> None:
@@ -83,9 +94,8 @@ def terminal(
     """A terminal after the begin of a session."""
     console = Console(file=shown, force_terminal=True, width=width, height=24, color_system=None)
     operator = Terminal(console, Typed(keys, *lines), live=live)  # type: ignore[arg-type]
-    said = {"title": "A title", "length": "", "accepted": [], "positions": ["level"]}
-    sensors = {"S-1": {"unit": "count", "offset": 1024.0, "sensitivity": 819.0}}
-    operator.tell({"event": "begin", **said, "sensors": sensors, **begin})
+    said: Any = {"title": "A title", "accepted": [], "positions": ["level"], "attitudes": {}, "headings": False}
+    operator.tell(Begin(**{**said, "sensors": {"S-1": SENSOR}, **begin}))
     return operator
 
 
@@ -103,7 +113,7 @@ def guide(**axes: tuple[float | None, float | None, bool | None]) -> SensorGuida
 
 def test_angles_temperatures_and_directions_are_typed_or_left() -> None:
     """Whether a sensor can have the angles is the session's to say, which asks again."""
-    shown, free = io.StringIO(), {**LEVEL, "tilt": None}
+    shown, free = io.StringIO(), replace(LEVEL, tilt=None)
     for question, keys, lines, answer in (
         (LEVEL, "a\n", ("", ""), {}),
         (LEVEL, "at\n", ("1,5", "", ""), {"tilt": {"x": 1.5}}),
@@ -156,16 +166,16 @@ def test_a_live_reading_is_shown_until_a_key_is_pressed() -> None:
 def test_six_sensors_are_shown_in_80_columns_below_their_targets() -> None:
     """The targets are repeated where the next sensor sits another way; the next reading takes the place of the rows."""
     serials = [f"SCL-100{n}" for n in range(6)]
-    sensors = {serial: {"unit": "count"} for serial in serials}
+    sensors = dict.fromkeys(serials, SENSOR)
     operator = terminal(shown := io.StringIO(), ENTER, width=80, live=True, sensors=sensors)
     straight = guide(x=(30.0, 29.71, True), y=(0.0, None, False))
     tilts = {"x": AxisTilt(90.0, 88.07), "y": AxisTilt(0.0, -1.5), "z": AxisTilt(0.0, 1.21)}
     three = SensorGuidance(tilts, {"": Difference(1.93, 6.0, True)}, sides={"+Y": -1.5, "+Z": 1.21})
-    reading = {"values": {"x": 2973.0, "y": 7000.0}, "temperature": 24.0}
-    readings = {serial: {**reading, "guidance": three if serial.endswith("5") else straight} for serial in serials}
+    values = {"x": 2973.0, "y": 7000.0}
+    readings = {one: ShownReading(values, 24.0, three if one.endswith("5") else straight) for one in serials}
     shown.truncate(0)
     for why in ("", "sample 3 of 20"):
-        operator.tell({"event": "look", "position": "level", "why": why, "readings": readings})
+        operator.tell(Look("level", why, readings))
     first, _, second = shown.getvalue().partition("\r\x1b[2K")
     rows = first.splitlines()[-9:]
     assert rows[0].split()[-4:] == ["x", "+30.00°", "y", "+0.00°"]
@@ -180,7 +190,7 @@ def test_six_sensors_are_shown_in_80_columns_below_their_targets() -> None:
 
 def test_the_keys_are_explained_and_the_time_that_remains_is_said() -> None:
     operator = terminal(shown := io.StringIO(), "?\n", positions=["first", "level"], accepted=["first"])
-    operator.tell({"event": "progress", "position": "level", "accepted": ["first"], "seconds": 4210.0})
+    operator.tell(Progress("level", ["first"], 4210.0))
     assert operator.ask(LEVEL) == {"answer": "ready"}
     for said in (
         "kept from before: first",
@@ -193,8 +203,8 @@ def test_the_keys_are_explained_and_the_time_that_remains_is_said() -> None:
 def test_no_escape_sequence_and_no_markup_of_a_file_reaches_the_terminal() -> None:
     """ESC ] 0 ; sets a window title, ESC [ 2 J clears the screen; a title [/] closes what rich never opened."""
     operator = terminal(shown := io.StringIO(), "\n", title="a[/]\x1b]0;owned\x07 title")
-    operator.ask({**LEVEL, "position": "p\x1b[2J", "prompt": "Tilt \x9b2J it"})
-    operator.tell({"event": "refused", "position": "level", "why": "\x1b[2J[bold]S[/]"})
+    operator.ask(replace(LEVEL, position="p\x1b[2J", prompt="Tilt \x9b2J it"))
+    operator.tell(Refused("level", "\x1b[2J[bold]S[/]"))
     said = shown.getvalue()
     assert "a[/]?]0;owned? title" in said
     assert not set("\x1b\x07\x9b") & set(said)
@@ -203,12 +213,10 @@ def test_no_escape_sequence_and_no_markup_of_a_file_reaches_the_terminal() -> No
 
 @pytest.mark.parametrize("width", [30, 80])
 def test_no_number_of_a_review_is_cut_off(width: int) -> None:
-    measured = {"mean": {"x": 1045.25, "y": 1018.95}, "std": {"x": 0.65, "y": 0.69}, "n": 20, "temperature": 24.93}
     operator = terminal(shown := io.StringIO(), ENTER, width=width)
     axes = guide(x=(0.0, 1.49, True), y=(0.0, -0.35, True))
-    readings = {"S-1": {**measured, "values": measured["mean"], "guidance": axes}}
-    review = {"ask": "review", "position": "level", "readings": readings}
-    assert operator.ask(review) == {"answer": "accept"}
+    measured = ShownReading({"x": 1045.25, "y": 1018.95}, 24.93, axes, {"x": 0.65, "y": 0.69}, 20)
+    assert operator.ask(Review("level", {"S-1": measured})) == {"answer": "accept"}
     for number in ("1045.25", "1018.95", "+0.00°", "+1.49°", "-0.35°", "ok", "0.65", "0.69", "24.93"):
         assert number in shown.getvalue().split()
     assert all(len(line) <= width for line in shown.getvalue().splitlines())

@@ -3,24 +3,23 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
 from math import cos, radians, sin
 from typing import Any
 
 import pytest
 
 from tiltcal.bench.guidance import AxisTilt, Difference, SensorGuidance
+from tiltcal.bench.messages import Accepted, Begin, Look, PositionQuestion, Refused, ShownReading, ShownSensor
 from tiltcal.bench.operators import LOOK
 from tiltcal.bench.page_server import PageState
 from tiltcal.bench.web import WebOperator
 
-SENSOR = {"model": "any", "unit": "g", "offset": 0.0, "sensitivity": 1.0, "axes": ("x", "y", "z")}
 ATTITUDES = {"level": (0.0, 0.0, 1.0), "up": (0.5, 0.0, cos(radians(30))), "over": (0.0, 0.0, -1.0)}
 
 
-def question(position: str, **more: object) -> dict[str, Any]:
+def question(position: str, **more: Any) -> PositionQuestion:
     asked = {"tilt": {"x": 30.0}, "gravity": list(ATTITUDES[position]), "heading": 0, "temperature": None}
-    return {"ask": "position", "position": position, "prompt": "", **asked, **more}
+    return PositionQuestion(position=position, prompt="", **{**asked, **more})
 
 
 def guide(ok: bool | None, channels: str) -> SensorGuidance:
@@ -36,19 +35,18 @@ class Bench:
         self.channels = channels
         self.state = PageState()
         self.operator = WebOperator(self.state, {}, hands_free=True, clock=lambda: self.time)
-        sensors = {"S-1": {**SENSOR, "channels": tuple(channels)}}
-        shown = {"positions": list(ATTITUDES), "attitudes": ATTITUDES, "headings": headings, "sensors": sensors}
-        self.operator.tell({"event": "begin", "title": "", "length": "", "accepted": [], **shown})
+        sensors = {"S-1": ShownSensor("any", ("x", "y", "z"), tuple(channels), "g", 0.0, 1.0)}
+        shown: Any = {"positions": list(ATTITUDES), "attitudes": ATTITUDES, "headings": headings, "sensors": sensors}
+        self.operator.tell(Begin(title="", accepted=[], **shown))
         mean = dict(zip("xyz", ATTITUDES[accepted], strict=True))
-        values = {"mean": {channel: mean[channel] for channel in channels}}
-        self.operator.tell({"event": "accepted", "position": accepted, **values})
+        self.operator.tell(Accepted(accepted, {channel: mean[channel] for channel in channels}, {}, 1))
 
     def doing(self) -> str:
         """Return what the page says that the session does."""
         return str(json.loads(self.state.after(0)[1])["doing"])
 
     def answers(
-        self, asked: Mapping[str, Any], tilt: float = 30.0, *, turns: float = 0.0, ok: bool | None = True
+        self, asked: PositionQuestion, tilt: float = 30.0, *, turns: float = 0.0, ok: bool | None = True
     ) -> str:
         """Return the answer after two seconds in which x turns by so many degrees a second."""
         for _ in range(9):
@@ -58,12 +56,8 @@ class Bench:
             self.time += 0.25
             angle = tilt + turns * self.time
             values = {"x": sin(radians(angle)), "y": 0.0, "z": cos(radians(angle))}
-            reading = {
-                "values": {channel: values[channel] for channel in self.channels},
-                "temperature": None,
-                "guidance": guide(ok, self.channels),
-            }
-            self.operator.tell({"event": "look", "position": "", "why": "", "readings": {"S-1": reading}})
+            shown = {channel: values[channel] for channel in self.channels}
+            self.operator.tell(Look("", "", {"S-1": ShownReading(shown, None, guide(ok, self.channels))}))
         return LOOK
 
 
@@ -78,7 +72,7 @@ def test_the_next_position_is_taken_where_the_readings_show_it() -> None:
 
 def test_all_else_asks_a_person_and_says_what_it_waits_for() -> None:
     refused = Bench()
-    refused.operator.tell({"event": "refused", "position": "up", "why": "it moved"})
+    refused.operator.tell(Refused("up", "it moved"))
     for bench, answers, said in (
         (Bench(accepted="up"), {}, "reads as the position before"),
         (Bench(), {"tilt": 4.0}, "reads as the position before"),
@@ -99,5 +93,4 @@ def test_a_dead_sensor_is_shown_without_an_attitude() -> None:
     bench = Bench()
     bench.operator.ask(question("up"))
     unknown = SensorGuidance(dict.fromkeys("xyz", AxisTilt(0.0, None)), unknown=True)
-    reading = {"values": dict.fromkeys("xyz", 0.0), "temperature": None, "guidance": unknown}
-    bench.operator.tell({"event": "look", "position": "up", "why": "", "readings": {"S-1": reading}})
+    bench.operator.tell(Look("up", "", {"S-1": ShownReading(dict.fromkeys("xyz", 0.0), None, unknown)}))
