@@ -200,13 +200,13 @@ def test_a_log_that_keeps_a_library_busy_is_named_and_ctrl_c_ends_it(tmp_path: P
     (tmp_path / "good.csv").write_text("x,y\n1024,1024\n")
     (tmp_path / "torn.nc").write_bytes(b"\x89HDF\r\n\x1a\n")
     (tmp_path / "out").mkdir()
-    command = [*TILTCAL, "apply", CAL, "good.csv", "torn.nc", "-o", "out"]
     environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True, "env": environment}
-    with subprocess.Popen(command, cwd=tmp_path, **pipes) as process:
-        assert process.stdout is not None
-        assert process.stdout.readline() == "busy\n"
-        process.send_signal(signal.SIGINT)
-        said = process.communicate(timeout=30)[1]
-    assert (process.returncode, said.splitlines()[-1]) == (-signal.SIGINT, "reading torn.nc")
+    for logs, output in ((["torn.nc"], "torn-tilt.nc"), (["good.csv", "torn.nc"], "out")):
+        with subprocess.Popen([*TILTCAL, "apply", CAL, *logs, "-o", output], cwd=tmp_path, **pipes) as process:
+            assert process.stdout is not None
+            assert process.stdout.readline() == "busy\n"
+            process.send_signal(signal.SIGINT)
+            said = process.communicate(timeout=30)[1]
+        assert (process.returncode, said.splitlines()[-1]) == (-signal.SIGINT, "reading torn.nc")
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["good.csv"]

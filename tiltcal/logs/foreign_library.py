@@ -7,4 +7,7 @@ from contextlib import AbstractContextManager, nullcontext
 from contextvars import ContextVar
 
 foreign_library: ContextVar[Callable[[str], AbstractContextManager[object]]] = ContextVar("", default=nullcontext)
-"""What the command puts around the reading of a log by such a library; nothing in the library and in other threads."""
+"""What the command puts around the reading of a log by such a library; nothing in the library and in other threads.
+
+It is entered when polars is imported, which then takes SIGINT for itself.
+"""

@@ -49,7 +49,7 @@ class NetcdfReader(FrameReader):
         if source.stream.read(3) == _CLASSIC:
             why = "this is NetCDF-3: make NetCDF-4 of it first, such as with nccopy -k nc4 OLD NEW"
             raise InputError(why, file=source.name)
-        with foreign_library.get()(source.name), refusing(_DAMAGED, source.name):
+        with refusing(_DAMAGED, source.name), foreign_library.get()(source.name):
             # An index would hold a whole variable in memory, as many rows as the file declares.
             self.data = xarray.open_dataset(
                 Path(source.path),
@@ -70,7 +70,7 @@ class NetcdfReader(FrameReader):
         total, step = self.data.sizes[dimension], min(-(-_ROWS // longest) * longest, _MOST_ROWS)
         for start in range(0, max(total, 1), step):
             rows = slice(start, min(start + step, total))
-            with foreign_library.get()(self.name), refusing(_DAMAGED, self.name):
+            with refusing(_DAMAGED, self.name), foreign_library.get()(self.name):
                 block = self._block(DatasetFrame(self.data.isel({dimension: rows})), columns, time, frames)
             self.bytes_read = (self.source.size or 0) * rows.stop // total
             yield block

@@ -42,7 +42,7 @@ class ParquetReader(LogReader):
 
         super().__init__(source)
         path = Path(source.path)
-        with foreign_library.get()(self.name), self._refusing_damage():
+        with self._refusing_damage(), foreign_library.get()(self.name):
             self._scan = pl.scan_parquet(path, glob=False, hive_partitioning=False)
             self._schema = self._scan.collect_schema()
             self.notes = {key: note for key, note in pl.read_parquet_metadata(path).items() if key != _OF_THE_ENGINE}
