@@ -101,11 +101,12 @@ def require_steady(device: ReferenceDevice, samples: Sequence[Timed]) -> None:
         mean = fsum(tilts) / len(tilts)
         scatter = sqrt(fsum((tilt - mean) ** 2 for tilt in tilts) / len(tilts))
         change, u = drift(times, tilts) if len(tilts) > 2 else (0.0, 0.0)
-        moved = abs(change) > max(STEADY * device.repeatability, SIGMAS * u)
-        if moved or scatter > STEADY * device.repeatability * sqrt(len(tilts)):
+        if abs(change) > max(STEADY * device.repeatability, SIGMAS * u):
+            raise Unsettled(f"the reference moved by {change:+.2g}° in {channel} while it was sampled: let it rest")
+        if scatter > STEADY * device.repeatability * sqrt(len(tilts)):
             raise Unsettled(
-                f"the reference moved while it was sampled: its {channel} changed by {change:+.3g}° and scatters by "
-                f"{scatter:.2g}°; let it come to rest"
+                f"the reference scatters by {scatter:.2g}° in {channel}, so that the mean of {len(tilts)} is not "
+                f"as good as its repeatability of {device.repeatability:g}°: is it at rest? Else take more --samples"
             )
 
 
