@@ -122,4 +122,4 @@ def test_not_written_when_the_operator_says_no(tmp_path: Path) -> None:
 def test_the_time_that_remains_is_that_of_the_windows(tmp_path: Path) -> None:
     """Two temperatures at a thermometer that may be 360 s late, and twice 100 samples at 100 a second: 722 s."""
     result = measure("--operator", "terminal", "--plain", cwd=tmp_path, procedure="two-temperature", said="q\n")
-    assert "1/2  level-warm   about 13 min left" in result.stderr
+    assert "1/2  level-warm   at least 13 min left" in result.stderr

@@ -215,11 +215,11 @@ class Begin(Event, kw_only=True, tag="begin"):
 
 
 class Progress(Event, tag="progress"):
-    """What is accepted, what comes next, and the seconds that are left at least."""
+    """What is accepted, what comes next, and in words how long the rest takes."""
 
     position: str
     accepted: Sequence[str]
-    seconds: float
+    left: str
 
 
 class Look(Event, tag="look"):

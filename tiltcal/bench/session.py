@@ -11,6 +11,7 @@ from contextlib import ExitStack
 from dataclasses import replace
 from math import nan
 from pathlib import Path
+from statistics import median
 from typing import Any
 
 from tiltcal.bench.checks import (
@@ -47,6 +48,7 @@ from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.journal import POSITION, RESUMED, Journal, JournalWriter, OperatorAnswer, read_journal
 from tiltcal.files.moments import moment_after, stamp
 from tiltcal.files.procedure import Position, Ramp
+from tiltcal.printable import in_minutes
 
 NUDGED = 0.002  # a change while sampling above this is a sensor that was touched, g (0.1° near level)
 NUDGED_SIGMAS = 6.0
@@ -85,6 +87,10 @@ class Session:
         self.finished = journal is not None and journal.end is not None
         self._virtual = VirtualBench(self.clock, setup.devices)
         self._alike: list[str] = []
+        self._asked = ("", 0)
+        """The position that is asked for, and since when, ns."""
+        self._moves: list[float] = []
+        """How long each position of this run took the person and the move, seconds."""
 
     def probe(self) -> None:
         """Check before the operator starts that every device answers; a journal that has its end needs none.
@@ -215,11 +221,9 @@ class Session:
             self._soaked = None
         self._hold(position)
         names = [result.position.name for result in self.accepted]
-        settings, interval = self.setup.settings, self.sensors.interval
-        left = self.setup.steps.in_positions().least_seconds(
-            settings.samples, interval, settings.settle, done=len(names)
-        )
-        self.talk.tell(Progress(position.name, names, left))
+        if position.name != self._asked[0]:
+            self._asked = (position.name, self.recorder.now_ns())
+        self.talk.tell(Progress(position.name, names, self._left()))
         return self.talk.ask(
             PositionQuestion(
                 position=position.name,
@@ -232,11 +236,27 @@ class Session:
             )
         )
 
+    def _left(self) -> str:
+        """Return in words how long the rest takes, by the positions of this run; before the first what it must."""
+        done = len(self.accepted)
+        still = self._least(done) + (median(self._moves) if self._moves else 0.0) * (
+            len(self.setup.steps.positions) - done
+        )
+        return f"{'about' if self._moves else 'at least'} {in_minutes(still)} left"
+
+    def _least(self, done: int) -> float:
+        """Return how long the positions behind so many must hold still and are sampled, seconds."""
+        steps, settings = self.setup.steps.in_positions(), self.setup.settings
+        return steps.least_seconds(settings.samples, self.sensors.interval, settings.settle, done=done)
+
     def accept(self, result: PositionResult, samples: Mapping[str, Any]) -> None:
         """Note an accepted position and the lines of its samples, and wait until it is on the disk."""
         values = result.values()
         self.recorder.record(POSITION, {"position": result.position.name, **samples, "sensors": values})
         self.recorder.secure()
+        done = len(self.accepted)
+        took = (self.recorder.now_ns() - self._asked[1]) / 1e9
+        self._moves.append(max(0.0, took - self._least(done) + self._least(done + 1)))
         self.recorded.accept(result)
         sensors = {serial: Measured(**one) for serial, one in values.items()}
         several = sensors if len(self.setup.sensors) > 1 else {}

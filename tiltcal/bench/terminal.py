@@ -35,7 +35,7 @@ from tiltcal.bench.messages import (
 from tiltcal.bench.operators import LOOK, LineReader, Operator, in_words
 from tiltcal.bench.typed import number_in
 from tiltcal.errors import InputError, Stopped
-from tiltcal.printable import in_minutes, printable
+from tiltcal.printable import printable
 
 ENTER, ESCAPE = "\n", "\x1b"
 REST = 0.05  # time within which the rest of an escape sequence arrives, s
@@ -225,7 +225,7 @@ class Terminal(Operator):
                 if event.accepted:
                     self._say(f"  kept from before: {', '.join(event.accepted)}")
             case Progress():
-                self._remaining = f"about {in_minutes(event.seconds)} left"
+                self._remaining = event.left
             case Look() if self._live:
                 self._show(event)
             case Turn() if self._live:

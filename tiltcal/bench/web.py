@@ -166,7 +166,7 @@ class WebOperator(Operator):
                 self._guide = None
                 self._readings.clear()
                 name, step = event.position, self._step(event.position)
-                self._state.show(accepted=event.accepted, now=name, step=step, prompt=name, remaining=event.seconds)
+                self._state.show(accepted=event.accepted, now=name, step=step, prompt=name, remaining=event.left)
             case Look():
                 self._show_reading(event)
             case Refused():

@@ -42,6 +42,8 @@ class Plan:
 
     data: Mapping[str, Any]
     text: str
+    brief: str = ""
+    """The tilts near level and what they assume, in one line."""
 
     @property
     def uncertainty(self) -> dict[str, float]:
@@ -75,7 +77,7 @@ def _predict_mounting(
         "  that of its calibration comes on top",
     ]
     data = {"jig": jig, "uncertainty": {f"mounting.{angle}": value for angle, value in u.items()}}
-    return Plan(data, "\n".join(lines))
+    return Plan(data, "\n".join(lines), lines[0].rstrip(":"))
 
 
 def predict(
@@ -168,12 +170,25 @@ def predict(
         for name, coefficient, share in prediction.worth_adding[:SHOWN]:
             cut = f"would cut the uncertainty of {_in_words(coefficient)} by {100 * (1 - share):.0f} %"
             yield f"  One more position, {name}, {cut}"
+        if jig is None and not design.free:
+            yield f"  This is {_assumed(jig)}"
         held = in_minutes(seconds)
         yield f"  readings are held still and sampled for {held}; setting and changing temperatures on top"
         if not_covered:
             yield f"  {not_covered}"
 
-    return Plan(data, "\n".join(lines()))
+    near = ", ".join(
+        f"tilt {axis} ± {np.min(half[np.argmin(np.abs(tilt))]):.2g}°" for axis, (tilt, half) in tilts.items()
+    )
+    assumed = f" {_assumed(jig)}" if not design.free else ""
+    return Plan(data, "\n".join(lines()), f"{near} near level (95 %) is predicted{assumed}")
+
+
+def _assumed(jig: float | None) -> str:
+    """Return what a prediction takes for granted of the angles that are set."""
+    if jig is not None:
+        return f"with a jig of {jig:g}°"
+    return "if every angle is set exactly: no --jig is stated, and what the positions show will be larger"
 
 
 def _along_ramp(procedure: Ramp) -> Ramp:

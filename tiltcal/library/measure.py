@@ -307,7 +307,12 @@ def _predict(setup: Setup, remark: Callable[[str], None]) -> None:
             sensors=len(setup.sensors),
             base=None if base is None else base.calibration,
         )
-        remark(f"{device.model}, {expected}")
+        more = (
+            ""
+            if "degrees_of_freedom" not in expected.data or expected.data["degrees_of_freedom"]
+            else ("; no residuals are left to check the result")
+        )
+        remark(f"{device.model}: {expected.brief}{more}; tiltcal plan says the rest")
 
 
 def _outputs(

@@ -190,7 +190,7 @@ def test_six_sensors_are_shown_in_80_columns_below_their_targets() -> None:
 
 def test_the_keys_are_explained_and_the_time_that_remains_is_said() -> None:
     operator = terminal(shown := io.StringIO(), "?\n", positions=["first", "level"], accepted=["first"])
-    operator.tell(Progress("level", ["first"], 4210.0))
+    operator.tell(Progress("level", ["first"], "about 1 h 11 min left"))
     assert operator.ask(LEVEL) == {"answer": "ready"}
     for said in (
         "kept from before: first",

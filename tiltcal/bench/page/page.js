@@ -213,7 +213,7 @@ function show(next) {
   }
   $("#title").textContent = document.title = next.title;
   $("#hands").hidden = !next.hands_free;
-  $("#remaining").textContent = next.remaining === null ? "" : `about ${duration(next.remaining)} to go`;
+  $("#remaining").textContent = next.remaining ?? "";
   $("#step").textContent = next.step;
   $("#prompt").textContent = next.prompt;
   $("#conditions").textContent = next.conditions.join(" · ");
