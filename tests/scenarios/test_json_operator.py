@@ -53,6 +53,32 @@ def test_the_dialogue_is_the_contract(tmp_path: Path) -> None:
     assert led.told[-1] == {"event": "done", "calibrations": ["S-1.yaml"], "journal": "S-1.journal.jsonl"}
 
 
+def test_a_program_is_told_how_far_three_axes_are_off(tmp_path: Path) -> None:
+    """The virtual jig is exact: what the first face shows is the offset of the part, some degrees at most."""
+    options = (
+        "--sensor",
+        "adxl345",
+        "--address",
+        "sim:?seed=3",
+        "--serial",
+        "S-1",
+        "-o",
+        "S-1.yaml",
+        "--samples",
+        "10",
+    )
+    led = lead(
+        *("measure", "six-face", *options),
+        cwd=tmp_path,
+        answer=lambda message: {"answer": "ready"} if "ask" in message else None,
+    )
+    off = led.events("accepted")[0]["off"]
+    assert set(off) == {"angle", "+Y", "+Z"}
+    assert off["angle"] == pytest.approx((off["+Y"] ** 2 + off["+Z"] ** 2) ** 0.5, abs=0.01)
+    assert 0.0 < off["angle"] < 10.0
+    assert led.events("accepted")[-1]["off"]["angle"] < 1.0
+
+
 def test_the_angle_actually_set_counts(tmp_path: Path) -> None:
     def answer(ask: Event, number: int) -> Event:
         axis, angle = next(iter(ask["tilt"].items()))

@@ -95,6 +95,14 @@ class SensorGuidance:
         """Whether the operator is told that it is: never by a calibrated angle."""
         return None if self.calibrated else self.fits
 
+    @property
+    def off(self) -> dict[str, float] | None:
+        """The angle of three axes from the direction asked for, and how far two sides are too high, degrees."""
+        off = self.differences.get("")
+        if off is None or off.angle is None:
+            return None
+        return {name: round(angle, 3) + 0.0 for name, angle in {"angle": off.angle, **self.sides}.items()}
+
     def in_words(self) -> list[str]:
         """Return what an operator reads of it, an axis or the direction each, such as ``x  +29.71° (-0.29) ok``."""
         if self.unknown:

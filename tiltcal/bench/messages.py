@@ -249,13 +249,18 @@ class Waiting(Heard, tag="waiting"):
 
 
 class Measured(Struct, frozen=True, omit_defaults=True):
-    """What one sensor measured in an accepted position, in its unit."""
+    """What one sensor measured in an accepted position, in its unit.
+
+    ``off`` is of three axes the ``angle`` between the direction read and the one asked for, and how far two sides are
+    too high, degrees.
+    """
 
     mean: ByName
     std: ByName
     n: int
     temperature: float | None = None
     left_out: int = 0
+    off: ByName | None = None
 
 
 class Accepted(Heard, tag="accepted"):
@@ -267,6 +272,7 @@ class Accepted(Heard, tag="accepted"):
     n: int
     temperature: float | None = None
     left_out: int = 0
+    off: ByName | None = None
     reference: ByName | None = None
     sensors: Mapping[str, Measured] = {}
 

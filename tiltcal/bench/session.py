@@ -25,6 +25,7 @@ from tiltcal.bench.checks import (
 )
 from tiltcal.bench.conversation import Conversation
 from tiltcal.bench.devices import RECOVERY, Recorder, Sample, SensorSet, VirtualBench, connected, probe_devices
+from tiltcal.bench.guidance import SensorGuidance
 from tiltcal.bench.journal import RecordedSession, positions_of
 from tiltcal.bench.messages import (
     Accepted,
@@ -206,7 +207,8 @@ class Session:
             Review(position.name, readings | self.talk.shown_reference(samples[-1][1], position.gravity))
         )
         if verdict.answer == "accept":
-            self.accept(result, {"lines": [first, last], **({"without": without} if without else {})})
+            guides = {serial: reading.guidance for serial, reading in readings.items()}
+            self.accept(result, {"lines": [first, last], **({"without": without} if without else {})}, guides)
 
     def _named(self, answer: OperatorAnswer, position: Position) -> Position:
         """Return the open position that an answer names in place of the one that was asked for."""
@@ -249,7 +251,9 @@ class Session:
         steps, settings = self.setup.steps.in_positions(), self.setup.settings
         return steps.least_seconds(settings.samples, self.sensors.interval, settings.settle, done=done)
 
-    def accept(self, result: PositionResult, samples: Mapping[str, Any]) -> None:
+    def accept(
+        self, result: PositionResult, samples: Mapping[str, Any], guides: Mapping[str, SensorGuidance] | None = None
+    ) -> None:
         """Note an accepted position and the lines of its samples, and wait until it is on the disk."""
         values = result.values()
         self.recorder.record(POSITION, {"position": result.position.name, **samples, "sensors": values})
@@ -258,11 +262,13 @@ class Session:
         took = (self.recorder.now_ns() - self._asked[1]) / 1e9
         self._moves.append(max(0.0, took - self._least(done) + self._least(done + 1)))
         self.recorded.accept(result)
-        sensors = {serial: Measured(**one) for serial, one in values.items()}
+        offs = {serial: guide.off for serial, guide in (guides or {}).items()}
+        sensors = {serial: Measured(**one, off=offs.get(serial)) for serial, one in values.items()}
         several = sensors if len(self.setup.sensors) > 1 else {}
         reference = None if self.setup.reference is None else result.position.tilt
-        first = next(iter(values.values()))
-        self.talk.tell(Accepted(position=result.position.name, **first, reference=reference, sensors=several))
+        serial, first = next(iter(values.items()))
+        off = offs.get(serial)
+        self.talk.tell(Accepted(position=result.position.name, **first, off=off, reference=reference, sensors=several))
 
     def now(self) -> str:
         """Return the time of the last event as a stamp."""
