@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from tiltcal.core.attitude import Vector
 from tiltcal.drivers.bus import CaptureEnded, Link, open_link
-from tiltcal.drivers.bus.address import Address, parse_address
+from tiltcal.drivers.bus.address import Address
 from tiltcal.drivers.bus.clock import Clock, session_clock
 from tiltcal.drivers.model import Model, Reading, Sensor
 from tiltcal.errors import BusError, HardwareError, SensorError, UsageError
@@ -81,14 +81,14 @@ class VirtualBench:
 
         if self._first is None:
             return Fixture(self._clock)
-        truth = truth_of(parse_address(self._first.address), self._first.wired)
+        truth = truth_of(self._first.place, self._first.wired)
         return Fixture(
             self._clock, seed=truth.seed, jig=truth.jig, ambient=truth.ambient, time_constant=truth.time_constant
         )
 
     def twin(self, device: BenchSensor) -> Link:
         """Return the virtual sensor behind a ``sim:`` address."""
-        truth = truth_of(parse_address(device.address), device.wired)
+        truth = truth_of(device.place, device.wired)
         return device.wired.twin(truth, self.fixture.turned(_to_sensor(device, truth)), self._clock)
 
 
@@ -137,8 +137,7 @@ def open_device(
 
     HardwareError: it cannot be opened.
     """
-    address = parse_address(device.address)
-    return virtual.twin(device) if address.simulated else open_link(address, device.wired, lines)
+    return virtual.twin(device) if device.simulated else open_link(device.place, device.wired, lines)
 
 
 def open_same(

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from functools import partial
-from typing import Any
 
 from tiltcal.bench.devices import RECOVERY
 from tiltcal.bench.journal import SessionResult, calibrations_of
 from tiltcal.bench.judgement import Judgement
 from tiltcal.bench.messages import Lost, Write
 from tiltcal.bench.operators import NAMED, Operator, Program, PythonObject, VirtualJig
+from tiltcal.bench.options import MeasureOptions
 from tiltcal.bench.session import Session
 from tiltcal.bench.settle import Unsettled
 from tiltcal.errors import (
@@ -35,7 +35,7 @@ def led_by(
     session: Session,
     command: str,
     remark: Callable[[str], None],
-    options: Mapping[str, Any],
+    options: MeasureOptions,
 ) -> Iterator[Operator]:
     """Yield the operator of a session whose files can be written and whose devices answer.
 
@@ -69,13 +69,13 @@ def led_by(
 
 
 def _operator(
-    chosen: object, session: Session, say: Callable[[str], None], stack: ExitStack, options: Mapping[str, Any]
+    chosen: object, session: Session, say: Callable[[str], None], stack: ExitStack, options: MeasureOptions
 ) -> Operator:
     """Return an operator: one of :data:`NAMED`, or an object with the methods of the protocol.
 
     A terminal is given back at the end of the stack; ``say`` takes a line of the virtual jig's talk.
     """
-    plain, listen, hands_free = bool(options["plain"]), options["listen"], bool(options["hands_free"])
+    plain, listen, hands_free = options["plain"], options["listen"], options["hands_free"]
     if chosen != "web" and (listen is not None or hands_free):
         raise UsageError(
             option="hands_free" if hands_free else "listen",

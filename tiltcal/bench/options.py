@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, TypedDict
+from typing import Annotated, TypedDict
 
 from tiltcal.errors import Argument
 from tiltcal.options import Option
 from tiltcal.stated_arguments import (
-    of_python,
     require_above_zero,
     require_boolean,
     require_from_zero,
@@ -30,28 +29,17 @@ def _require_path_or_none(option: str, value: object) -> None:
         require_path(Argument(option), value)
 
 
-def _require_samples(option: str, value: object) -> None:
-    require_whole(option, of_python(value), 2, "samples")
-
-
-def _require_seconds(option: str, value: object) -> None:
-    require_above_zero(option, of_python(value))
-
-
-def _require_uncertainty(option: str, value: object) -> None:
-    require_from_zero(option, of_python(value))
-
-
 def _u(of: str, name: str = "") -> Option:
-    return Option(f"Standard uncertainty of {of}.", "DEGREES", _KNOWN, check=_require_uncertainty, name=name)
+    return Option(f"Standard uncertainty of {of}.", "DEGREES", _KNOWN, check=require_from_zero, name=name)
 
 
 _file = partial(Option, check=_require_path_or_none)
 _flag = partial(Option, metavar="", group=_POSITIONS, default=False, check=require_boolean)
 _Path = str | Path | None
 _Tilt = Annotated[float | None, Option("The angle of a procedure with a free angle.", "DEGREES", _POSITIONS)]
+_whole_samples = partial(require_whole, least=2, what="samples")
 _Samples = Annotated[
-    int | None, Option("Samples per position, in place of the procedure's.", "N", _POSITIONS, check=_require_samples)
+    int | None, Option("Samples per position, in place of the procedure's.", "N", _POSITIONS, check=_whole_samples)
 ]
 _Lean = Annotated[float | None, _u("the lean of the table that all positions share")]
 
@@ -64,7 +52,9 @@ class MeasureOptions(TypedDict, total=False):
         str | None, Option("Its address, such as spi:///dev/spidev0.0; sim: is its virtual twin.", "ADDRESS", _SENSOR)
     ]
     serial: Annotated[str | None, Option("Its serial number, for the calibration file.", "S", _SENSOR)]
-    bench: Annotated[Any, Option("A bench file: measure its sensors together, in place of the above.", "FILE", _SENSOR)]
+    bench: Annotated[
+        object, Option("A bench file: measure its sensors together, in place of the above.", "FILE", _SENSOR)
+    ]
     python: Annotated[
         str | None, Option("Modules of python: addresses in a bench file or a journal, to import.", "MODULES", _SENSOR)
     ]
@@ -83,7 +73,9 @@ class MeasureOptions(TypedDict, total=False):
     samples: _Samples
     settle: Annotated[
         float | None,
-        Option("How long a reading must be still before it is sampled.", "SECONDS", _POSITIONS, check=_require_seconds),
+        Option(
+            "How long a reading must be still before it is sampled.", "SECONDS", _POSITIONS, check=require_above_zero
+        ),
     ]
     closing: Annotated[bool, _flag("Visit the first position again at the end, to show what changed meanwhile.")]
     turns: Annotated[int | None, Option("The most turns of a stage, in place of the procedure's.", "N", _POSITIONS)]
@@ -146,7 +138,7 @@ class PlanOptions(TypedDict, total=False):
     jig: Annotated[float | None, _u("a set angle")]
     thermometer: Annotated[
         float | None,
-        Option("Standard uncertainty of a temperature.", "CELSIUS", _KNOWN, check=_require_uncertainty),
+        Option("Standard uncertainty of a temperature.", "CELSIUS", _KNOWN, check=require_from_zero),
     ]
     table_lean: _Lean
     noise: Annotated[
@@ -155,6 +147,6 @@ class PlanOptions(TypedDict, total=False):
             "Standard deviation of one sample, in the sensor's unit [that of the model].",
             "UNIT",
             _KNOWN,
-            check=_require_uncertainty,
+            check=require_from_zero,
         ),
     ]

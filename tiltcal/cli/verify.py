@@ -22,6 +22,7 @@ from tiltcal.files.calibration import CalibrationRecord, read_calibration
 from tiltcal.files.procedure import find_procedure
 from tiltcal.library.afterwards import verified
 from tiltcal.library.measure import resumed
+from tiltcal.options import complete
 from tiltcal.stated_arguments import require_from_zero
 
 
@@ -44,7 +45,7 @@ from tiltcal.stated_arguments import require_from_zero
 @click.option("--json", "as_json", is_flag=True, help="Print a JSON object after the session, as with --operator json.")
 def command(
     calibration: Path, procedure: str, limit: float, operator: str | None, resume: str | None, as_json: bool,
-    **stated: Any,
+    **given: Any,
 ) -> int:  # fmt: skip
     """Measure positions that CALIBRATION was not fitted to, and compare tilts.
 
@@ -52,11 +53,10 @@ def command(
     if every tilt error is within the limit with it added, failed if one is beyond the limit with it subtracted, else
     not decided. Exit code 1 unless passed.
     """
-
-    judged = read_calibration(calibration)
+    judged, stated = read_calibration(calibration), complete(MeasureOptions, given)
     if resume is not None:
         named = {"--procedure": None if options.left_at_default("procedure") else procedure}
-        named |= {f"--{name}": stated[name] for name in ("address", "jig", "tilt", "samples", "settle", "journal")}
+        named |= {f"--{name}": given[name] for name in ("address", "jig", "tilt", "samples", "settle", "journal")}
         session = resumed(Path(resume), None, named, remark, stated["python"], verifies=True)
     elif stated["address"] is None:
         raise UsageError("verify needs --address, where the sensor is connected (or --resume JOURNAL)")
@@ -66,8 +66,16 @@ def command(
         sensor, device = judged.sensor, judged.device
         bench = single(sensor.model, sensor.serial, stated["address"], stated["jig"], device)
         steps = find_procedure(procedure, stated["tilt"]).in_positions().verifying()
-        settings = {name: stated[name] for name in ("samples", "settle")}
-        session = Session(Setup.begin(steps, bench, [None], path, operator=operator or "terminal", **settings), path)
+        setup = Setup.begin(
+            steps,
+            bench,
+            [None],
+            path,
+            operator=operator or "terminal",
+            samples=stated["samples"],
+            settle=stated["settle"],
+        )
+        session = Session(setup, path)
     _require_sensor(session, judged, calibration)
     again = f"verify {quote(str(calibration))}"
     again += "" if options.left_at_default("limit") else f" --limit {limit}"

@@ -11,7 +11,7 @@ from msgspec import Meta
 from tiltcal.core.attitude import STRAIGHT, Orientation, orientation
 from tiltcal.drivers import find_model
 from tiltcal.drivers.bus import link_letter
-from tiltcal.drivers.bus.address import parse_address
+from tiltcal.drivers.bus.address import Address, parse_address
 from tiltcal.drivers.model import Model
 from tiltcal.files.device import DeviceFile, device_named
 from tiltcal.files.document import Document
@@ -43,24 +43,31 @@ class BenchSensor(Record):
         return orientation(self.axes)
 
     @property
+    def place(self) -> Address:
+        """The address, parsed."""
+        return _connected(self.model, self.address, self.device)[0]
+
+    @property
     def wired(self) -> Model:
         """The model as it is wired at the address."""
-        return _wired(self.model, self.address, self.device)
+        return _connected(self.model, self.address, self.device)[1]
 
     @property
     def simulated(self) -> bool:
         """Whether it is a virtual twin."""
-        return parse_address(self.address).simulated
+        return self.place.simulated
 
     @property
     def letter(self) -> str:
         """Its bus in a journal."""
-        return link_letter(parse_address(self.address), self.wired)
+        return link_letter(self.place, self.wired)
 
 
 @lru_cache(maxsize=64)
-def _wired(model: str, address: str, device: DeviceFile | None) -> Model:
-    return (find_model(model) if device is None else device.model).at(parse_address(address))
+def _connected(model: str, address: str, device: DeviceFile | None) -> tuple[Address, Model]:
+    """Parse an address and find its model, once for all sensors of a session and of its journal."""
+    place = parse_address(address)
+    return place, (find_model(model) if device is None else device.model).at(place)
 
 
 class BenchThermometer(Record):

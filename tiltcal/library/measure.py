@@ -8,7 +8,7 @@ from contextlib import suppress
 from math import hypot
 from pathlib import Path
 from shlex import quote
-from typing import Any, Unpack
+from typing import Any, Unpack, cast
 
 from tiltcal.bench.journal import SessionResult
 from tiltcal.bench.measure import led_by, run_session
@@ -41,6 +41,9 @@ _NOT_PREDICTED = (
     "nothing can be predicted before the stage turns: p and q will have a standard uncertainty of 2 s / (A sqrt(n)), "
     "after n samples of noise s, where A is the amplitude of an accelerometer at the spin frequency"
 )
+
+NOT_REPEATED = ("output", "resume", "operator", "plain", "python", "hands_free", "listen", "remark", "result")
+"""The options that a session which goes on may have anew."""
 
 
 @takes(PlanOptions)
@@ -139,7 +142,8 @@ def measure(procedure: str | Path | None = None, **options: Unpack[MeasureOption
     Stopped
         The operator stopped; the message says how to go on.
     """
-    given: Any = {name: of_python(value) for name, value in complete(MeasureOptions, options).items()}
+    stated = complete(MeasureOptions, options)
+    given = cast(MeasureOptions, {name: of_python(value) for name, value in stated.items()})
     remark, result, resume = given["remark"], given["result"], given["resume"]
     if given["dry_run"]:
         from tiltcal.bench.dry_run import dry_run
@@ -147,14 +151,13 @@ def measure(procedure: str | Path | None = None, **options: Unpack[MeasureOption
         dry_run(_begun(procedure, given).setup, result or remark)
         return None
     if resume is not None and os.path.exists(resume):
-        stated = {"PROCEDURE": procedure} | {
-            flag_of(name, option): given[name]
-            for name, (option, _) in options_of(MeasureOptions).items()
-            if name
-            not in ("output", "resume", "operator", "plain", "python", "hands_free", "listen", "remark", "result")
+        again = {"PROCEDURE": procedure} | {
+            flag_of(name, options_of(MeasureOptions)[name][0]): value
+            for name, value in given.items()
+            if name not in NOT_REPEATED
         }
         output = None if given["output"] is None else Path(given["output"])
-        session = resumed(Path(resume), output, stated, remark, given["python"])
+        session = resumed(Path(resume), output, again, remark, given["python"])
     else:
         session = _begun(procedure, given)
     operator = given["operator"] or session.setup.operator
@@ -205,9 +208,10 @@ def resumed(
     return Session(setup, path, journal, output)
 
 
-def _begun(procedure: str | Path | None, given: Mapping[str, Any]) -> Session:
+def _begun(procedure: str | Path | None, given: MeasureOptions) -> Session:
     """Return a new session, and remark how well it will determine the coefficients."""
-    base, named, remark, resume = given["base"], given["bench"], given["remark"], given["resume"]
+    base, remark, resume = given["base"], given["remark"], given["resume"]
+    named = cast("BenchFile | str | Path | None", given["bench"])
     sensor, serial, address = given["sensor"], given["serial"], given["address"]
     output = None if given["output"] is None else Path(given["output"])
     if base is not None and named is None and os.path.isfile(base):
@@ -232,10 +236,11 @@ def _begun(procedure: str | Path | None, given: Mapping[str, Any]) -> Session:
     if named is None:
         require_name(str(serial), "the serial number")
         bench = single(str(sensor), str(serial), str(address))
+    elif isinstance(named, BenchFile):
+        bench = named
     else:
-        bench = named if isinstance(named, BenchFile) else known_bench(read_document(named))
-        if bench is not named:
-            require_trusted(bench, named, given["python"])
+        bench = known_bench(read_document(named))
+        require_trusted(bench, named, given["python"])
     bench = bench.with_stated(jig=given["jig"], table_lean=given["table_lean"], heading=given["heading"])
     bases = bases_of(steps, base, [sensor.serial for sensor in bench.sensors])
     outputs, beside = _outputs(steps, bench, named, output)
@@ -254,7 +259,7 @@ def _begun(procedure: str | Path | None, given: Mapping[str, Any]) -> Session:
         samples=given["samples"],
         settle=given["settle"],
         bases=bases,
-        typical=bool(given["typical_temperature"]),
+        typical=given["typical_temperature"],
     )
     _predict(setup, remark)
     for why in setup.overdue():

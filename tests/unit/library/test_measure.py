@@ -18,6 +18,7 @@ from tiltcal.bench import devices
 from tiltcal.bench.journal import calibrations_of
 from tiltcal.bench.operators import PythonObject
 from tiltcal.cli.main import run
+from tiltcal.drivers.bus.address import Address, parse_address
 from tiltcal.errors import EstimateError, Stopped, UsageError
 from tiltcal.files.journal import read_journal
 
@@ -209,3 +210,18 @@ def test_a_base_states_the_sensitivity_of_a_device_of_any_kind() -> None:
         tiltcal.plan("two-temperature", **sensor)  # type: ignore[arg-type]
     base = FIXTURES / "zero-45.yaml"
     assert tiltcal.plan("two-temperature", **sensor, base=base).uncertainty["sensitivity.x.x"] > 0.0  # type: ignore[arg-type]
+
+
+def test_an_address_is_parsed_once_in_a_session(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """From the option to the journal that is read at the end: there were 24 parses."""
+    parsed, parse = list[str](), parse_address
+
+    def counted(text: str) -> Address:
+        parsed.append(text)
+        return parse(text)
+
+    for module in [one for one in sys.modules.values() if vars(one).get("parse_address") is parse]:
+        monkeypatch.setattr(module, "parse_address", counted)
+    where = {"address": "sim:seed=39", "output": tmp_path / "S.yaml"}
+    measure("plane", sensor="sca100t-d02", serial="S", operator="sim", samples=10, **where)  # type: ignore[arg-type]
+    assert parsed == ["sim:seed=39"]
