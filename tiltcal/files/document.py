@@ -24,7 +24,7 @@ from tiltcal.files.moments import moment
 from tiltcal.files.record import FORMAT_VERSION, KINDS
 from tiltcal.files.yaml_text import DEPTH_LIMIT, Place, dotted, is_sent, parse, read_text
 from tiltcal.printable import did_you_mean
-from tiltcal.stated_arguments import LEAST, require_printable
+from tiltcal.stated_arguments import LEAST, require_path, require_printable
 
 T = TypeVar("T")
 
@@ -154,6 +154,7 @@ _LOGS = (".csv", ".tsv", ".parquet", ".nc", ".nc4", ".mcap", ".bag", ".db3")
 
 def read_document(path: str | Path) -> Document:
     """Read one YAML document from a file; an InputError where it cannot be read, or uses what is refused here."""
+    require_path("a file", path)  # a number would be an open file, which is closed behind it
     why = ""
     with suppress(OSError), open(path, "rb") as stream:
         if stream.read(len(_JOURNAL)) == _JOURNAL:
