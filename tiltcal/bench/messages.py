@@ -212,6 +212,7 @@ class Begin(Event, kw_only=True, tag="begin"):
     headings: bool
     accepted: Sequence[str]
     sensors: Mapping[str, ShownSensor]
+    free: bool = False  # whether nobody sets the attitudes
 
 
 class Progress(Event, tag="progress"):

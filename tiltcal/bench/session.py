@@ -48,7 +48,7 @@ from tiltcal.errors import SensorError, UsageError
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.journal import POSITION, RESUMED, Journal, JournalWriter, OperatorAnswer, read_journal
 from tiltcal.files.moments import moment_after, stamp
-from tiltcal.files.procedure import Position, Ramp
+from tiltcal.files.procedure import FreePositions, Position, Ramp
 from tiltcal.printable import in_minutes
 
 NUDGED = 0.002  # a change while sampling above this is a sensor that was touched, g (0.1° near level)
@@ -126,6 +126,7 @@ class Session:
                 length=setup.steps.length if setup.steps.positions else "",
                 positions=[position.name for position in setup.steps.positions],
                 attitudes={position.name: position.gravity for position in setup.steps.positions},
+                free=isinstance(setup.steps, FreePositions),
                 headings=any(position.heading for position in setup.steps.positions),
                 accepted=[result.position.name for result in self.accepted],
                 sensors={

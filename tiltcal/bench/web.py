@@ -10,7 +10,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
-from math import atan2, degrees, hypot, sqrt
+from math import atan2, cos, degrees, hypot, sin, sqrt
 from typing import TYPE_CHECKING, Any
 
 from tiltcal.bench.guidance import COLUMNS, UNCALIBRATED, level_sides, note_on, whether_all
@@ -62,6 +62,15 @@ MOVED = 5.0
 
 PACE = 0.05
 """Seconds between two readings that the page draws while the session samples."""
+
+REACH = 40.0
+"""A part of the sphere counts as met where a free position is nearer than this, degrees: twelve even ones meet all."""
+
+SPHERE = [
+    (sqrt(1.0 - z * z) * cos(2.4 * k), sqrt(1.0 - z * z) * sin(2.4 * k), z)
+    for k, z in enumerate((2 * k + 1) / 300 - 1.0 for k in range(300))
+]
+"""Directions that are spread evenly, by the golden angle of 2.4 radians."""
 
 LOGGED = 40
 """Events that the page lists."""
@@ -115,13 +124,15 @@ class WebOperator(Operator):
         """Times, s, and directions by serial number, as the sensors read them."""
         self._before: dict[str, Vector] = {}
         """Those of the position that was accepted last; none where somebody has to look at the next one."""
+        self._met: dict[str, Vector] = {}
+        """The directions that the first sensor read, by position."""
         self._guide: dict[str, Any] | None = None
         self._sounds = dict.fromkeys(SOUNDS, 0)
         self._log: list[dict[str, str]] = []
         state.show(
             title="tiltcal", hands_free=hands_free, positions=[], accepted=[], now="", step="", prompt="",
             conditions=[], doing="", refused="", soak=None, samples=None, remaining=None, guide=None, table=None,
-            results=[], live={}, log=[], sounds={}, read_ms=0, ended=False,
+            sphere=None, results=[], live={}, log=[], sounds={}, read_ms=0, ended=False,
         )  # fmt: skip
 
     def ask(self, question: Question) -> object:
@@ -158,6 +169,7 @@ class WebOperator(Operator):
         match event:
             case Begin():
                 self._begin, self._before, self._target = event, {}, None
+                self._met = {}
                 title = "  ".join(filter(None, (event.title, event.length)))
                 self._state.show(title=title, positions=event.positions, accepted=event.accepted)
             case Progress():
@@ -166,6 +178,7 @@ class WebOperator(Operator):
                 self._guide = None
                 self._readings.clear()
                 name, step = event.position, self._step(event.position)
+                self._state.show(sphere=self._sphere(event.accepted))
                 self._state.show(accepted=event.accepted, now=name, step=step, prompt=name, remaining=event.left)
             case Look():
                 self._show_reading(event)
@@ -175,6 +188,7 @@ class WebOperator(Operator):
             case Accepted():
                 measured = event.by_serial(self._begin.sensors).items()
                 self._before = {serial: self._direction(serial, one.mean) for serial, one in measured}
+                self._met[event.position] = next(iter(self._before.values()))
                 self._state.show(table=None, refused="", doing=f"accepted {event.position}")
             case Done():
                 self._state.show(**self._sound("done"))
@@ -279,6 +293,17 @@ class WebOperator(Operator):
         sines = {name: (value - sensor.offset) / sensor.sensitivity for name, value in values.items()}
         x, y = sines.get("x", 0.0), sines.get("y", 0.0)
         return x, y, sines.get("z", sqrt(max(1.0 - x * x - y * y, 0.0)))
+
+    def _sphere(self, accepted: Sequence[str]) -> dict[str, Any]:
+        """Return the directions that are met and those that are missing; of free positions the share of the sphere."""
+        if not self._begin.free:
+            dots = [[at, name in accepted] for name, at in self._begin.attitudes.items()]
+            return {"dots": dots, "share": None}
+        met = [one for name, one in self._met.items() if name in accepted]
+        near = sum(any(_apart(one, point) < REACH for one in met) for point in SPHERE)
+        # Of those that were accepted before the session was resumed no reading is at hand.
+        share = near / len(SPHERE) if len(met) == len(accepted) else None
+        return {"dots": [[[part / hypot(*one) for part in one], True] for one in met], "share": share}
 
     def _stillness(self) -> float:
         """Return 1 where the last readings stand still, and less the more they move."""

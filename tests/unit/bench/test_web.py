@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from tiltcal.bench.guidance import AxisTilt, Difference, SensorGuidance
-from tiltcal.bench.messages import Accepted, Begin, Look, PositionQuestion, Refused, ShownReading, ShownSensor
+from tiltcal.bench.messages import Accepted, Begin, Look, PositionQuestion, Progress, Refused, ShownReading, ShownSensor
 from tiltcal.bench.operators import LOOK
 from tiltcal.bench.page_server import PageState
 from tiltcal.bench.web import WebOperator
@@ -30,16 +30,22 @@ def guide(ok: bool | None, channels: str) -> SensorGuidance:
 class Bench:
     """A sensor whose first position was accepted, and which now stands at a tilt of x, degrees."""
 
-    def __init__(self, *, channels: str = "xyz", headings: bool = False, accepted: str = "level") -> None:
+    def __init__(
+        self, *, channels: str = "xyz", headings: bool = False, accepted: str = "level", free: bool = False
+    ) -> None:
         self.time = 0.0
         self.channels = channels
         self.state = PageState()
         self.operator = WebOperator(self.state, {}, hands_free=True, clock=lambda: self.time)
         sensors = {"S-1": ShownSensor("any", ("x", "y", "z"), tuple(channels), "g", 0.0, 1.0)}
         shown: Any = {"positions": list(ATTITUDES), "attitudes": ATTITUDES, "headings": headings, "sensors": sensors}
-        self.operator.tell(Begin(title="", accepted=[], **shown))
+        self.operator.tell(Begin(title="", accepted=[], free=free, **shown))
+        self.accept(accepted)
+
+    def accept(self, accepted: str) -> None:
+        """Have a position accepted."""
         mean = dict(zip("xyz", ATTITUDES[accepted], strict=True))
-        self.operator.tell(Accepted(accepted, {channel: mean[channel] for channel in channels}, {}, 1))
+        self.operator.tell(Accepted(accepted, {channel: mean[channel] for channel in self.channels}, {}, 1))
 
     def doing(self) -> str:
         """Return what the page says that the session does."""
@@ -94,3 +100,17 @@ def test_a_dead_sensor_is_shown_without_an_attitude() -> None:
     bench.operator.ask(question("up"))
     unknown = SensorGuidance(dict.fromkeys("xyz", AxisTilt(0.0, None)), unknown=True)
     bench.operator.tell(Look("up", "", {"S-1": ShownReading(dict.fromkeys("xyz", 0.0), None, unknown)}))
+
+
+def test_the_sphere_shows_what_is_missing_and_of_free_positions_the_share_that_is_met() -> None:
+    """A cap of 40° is (1 - cos 40°) / 2 of the sphere, 11.7 %; those of two opposite directions do not meet."""
+    bench = Bench()
+    bench.operator.tell(Progress("up", ["level"], ""))
+    sphere = json.loads(bench.state.after(0)[1])["sphere"]
+    assert ([met for _, met in sphere["dots"]], sphere["share"]) == ([True, False, False], None)
+    free = Bench(free=True)
+    for accepted, share in ((["level"], 0.117), (["level", "over"], 0.234), (["before", "level", "over"], None)):
+        free.accept(accepted[-1])
+        free.operator.tell(Progress("next", accepted, ""))
+        shown = json.loads(free.state.after(0)[1])["sphere"]["share"]
+        assert shown == (None if share is None else pytest.approx(share, abs=0.01))

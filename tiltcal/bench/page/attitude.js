@@ -100,3 +100,16 @@ function drawBubble(svg, [first, second], sensors) {
   }
   element(svg, "circle", {class: "middle", r: 3});
 }
+
+// The directions that are met (filled) and missing, and the present one, on the two halves of the sphere, in true areas.
+function drawSphere(svg, dots, now) {
+  svg.replaceChildren();
+  for (const [x, name] of [[-74, "+Z half"], [74, "−Z half"]]) {
+    element(svg, "circle", {class: "vial", cx: x, r: 68});
+    element(svg, "text", {class: "side", x, y: 88}, name);
+  }
+  for (const [[x, y, z], kind] of [...dots.map(([at, met]) => [at, met ? "met" : "missing"]), ...(now ? [[now, "here"]] : [])]) {
+    const r = 64 * Math.sqrt(1 - Math.min(1, Math.abs(z))) / (Math.hypot(x, y) || 1);
+    element(svg, "circle", {class: kind, cx: (z < -1e-9 ? 74 : -74) + r * x, cy: -r * y, r: kind === "here" ? 9 : 6});
+  }
+}

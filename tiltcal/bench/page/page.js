@@ -228,6 +228,11 @@ function show(next) {
   $("#samples span").textContent = `${taken} of ${wanted}`;
   list($("#positions"), next.positions.map((name) => [name, next.accepted.includes(name) ? "done" : name === next.now ? "now" : ""]));
   list($("#log"), [...next.log].reverse().map(({text, kind}) => [text, kind]));
+  $("#sphere").hidden = !next.sphere;
+  if (next.sphere) {
+    drawSphere($("#sphere svg"), next.sphere.dots, guide?.sensors[0]?.present);
+    $("#sphere figcaption").textContent = next.sphere.share === null ? "" : `${Math.round(100 * next.sphere.share)} % of the sphere met`;
+  }
   showTable(next.table);
   showResults(next);
   if (next.ended) lost();
