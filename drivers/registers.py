@@ -545,7 +545,7 @@ class VirtualRegisters(VirtualPart):
             if write.range:
                 bits = (1 << max(codes).bit_length()) - 1
                 code = self._held.get(bank << 8 | write.register, 0) // write.range & bits
-                return codes.get(code, sampling.ranges[sampling.range])
+                return codes.get(code, next(iter(codes.values())))
         return sampling.ranges[sampling.range]
 
     def _content(self, asked: Sequence[int]) -> bytes:

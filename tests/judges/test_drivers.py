@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -89,6 +90,7 @@ class Judge(NamedTuple):
     unit: 1 g in the driver's unit; 0 where it gives counts.
     near: largest relative difference between its sensitivity and ours, where it rounds or takes another one.
     digit: of what it prints, in its unit.
+    after: ``after(module, sensor)`` says whether it finds what our driver has to set up beside the range.
     """
 
     model: str
@@ -101,11 +103,26 @@ class Judge(NamedTuple):
     digit: float = 0.0
     values: Callable[[Any], Sequence[float]] = lambda sensor: sensor.acceleration
     celsius: Callable[[Any], float | None] = lambda sensor: None
+    after: Callable[[Any, Any], bool] = lambda module, sensor: True
 
 
 def halved(counts: float, words: Sequence[str] = ACCELEROMETER) -> dict[str, float]:
     """From that of ±2 g."""
     return {word: counts * 2.0 / float(word[:-1]) for word in words}
+
+
+def finds(setting: str, name: str) -> Any:
+    """Return whether a driver finds a register with a value that it has a name for."""
+
+    def found(module: Any, sensor: Any) -> bool:
+        kind, _, word = name.rpartition(".")
+        return bool(getattr(sensor, setting) == getattr(getattr(module, kind) if kind else module, word))
+
+    return found
+
+
+def at_104_hz(module: Any, sensor: Any) -> bool:
+    return bool(sensor.accelerometer_data_rate == sys.modules["adafruit_lsm6ds"].Rate.RATE_104_HZ)
 
 
 def celsius(sensor: Any) -> float:
@@ -116,23 +133,57 @@ def celsius(sensor: Any) -> float:
 SIXTEENTHS = {"2g": 16380 / 16, "4g": 8190 / 16, "8g": 4096 / 16, "16g": 1365 / 16}
 JUDGES = (
     # It takes a digit of 1/256 g to be 4 mg; setting a range turns full resolution on.
-    Judge("adxl345", "adafruit_adxl34x", by_adafruit("ADXL345"), dict.fromkeys(ACCELEROMETER, 250.0), near=0.03),
+    Judge(
+        "adxl345",
+        "adafruit_adxl34x",
+        by_adafruit("ADXL345"),
+        dict.fromkeys(ACCELEROMETER, 250.0),
+        near=0.03,
+        after=finds("data_rate", "DataRate.RATE_100_HZ"),
+    ),
     # It takes the 1, 2, 4 and 12 mg of a digit to be 1/16 of 1/16380 g and so on, and 1 g to be 9.806 m/s².
-    Judge("lis3dh", "adafruit_lis3dh", by_adafruit("LIS3DH_I2C"), SIXTEENTHS, 9.806, near=0.03),
-    Judge("lis3dh", "adafruit_lis3dh", by_adafruit("LIS3DH_SPI"), SIXTEENTHS, 9.806, "s", near=0.03),
+    Judge(
+        "lis3dh",
+        "adafruit_lis3dh",
+        by_adafruit("LIS3DH_I2C"),
+        SIXTEENTHS,
+        9.806,
+        near=0.03,
+        after=finds("data_rate", "DATARATE_100_HZ"),
+    ),
+    Judge(
+        "lis3dh",
+        "adafruit_lis3dh",
+        by_adafruit("LIS3DH_SPI"),
+        SIXTEENTHS,
+        9.806,
+        "s",
+        near=0.03,
+        after=finds("data_rate", "DATARATE_100_HZ"),
+    ),
     Judge(
         "mpu6050",
         "adafruit_mpu6050",
         by_adafruit("MPU6050", "accelerometer_range"),
         halved(16384.0),
         celsius=celsius,
+        after=lambda module, sensor: (
+            (sensor.sample_rate_divisor, sensor.filter_bandwidth) == (9, module.Bandwidth.BAND_44_HZ)
+        ),
     ),
-    Judge("icm20948", "adafruit_icm20x", adafruits_icm20948, halved(16384.0)),
+    Judge(
+        "icm20948",
+        "adafruit_icm20x",
+        adafruits_icm20948,
+        halved(16384.0),
+        after=finds("accel_dlpf_cutoff", "AccelDLPFFreq.FREQ_50_4HZ_3DB"),
+    ),
     Judge(
         "icm20948",
         "micropython_icm20948.icm20948",
         by_adafruit("ICM20948", "accelerometer_range"),
         halved(16384.0),
+        celsius=celsius,
     ),
     Judge(
         "mpu9250",
@@ -159,6 +210,7 @@ JUDGES = (
         by_adafruit("BMI160", "acceleration_range", BMI.__getitem__),
         halved(16384.0),
         celsius=celsius,
+        after=finds("_acc_odr", "BANDWIDTH_100"),
     ),
     Judge(
         "bmi160",
@@ -170,11 +222,23 @@ JUDGES = (
         celsius=lambda sensor: sensor.getTemperature(),
     ),
     Judge(
-        "lsm6ds3tr-c", "adafruit_lsm6ds.lsm6ds3trc", with_codes(LSM, "LSM6DS3TRC"), halved(1e3 / 0.061), celsius=celsius
+        "lsm6ds3tr-c",
+        "adafruit_lsm6ds.lsm6ds3trc",
+        with_codes(LSM, "LSM6DS3TRC"),
+        halved(1e3 / 0.061),
+        celsius=celsius,
+        after=at_104_hz,
     ),
-    Judge("lsm6dsox", "adafruit_lsm6ds.lsm6dsox", with_codes(LSM, "LSM6DSOX"), halved(1e3 / 0.061), celsius=celsius),
+    Judge(
+        "lsm6dsox",
+        "adafruit_lsm6ds.lsm6dsox",
+        with_codes(LSM, "LSM6DSOX"),
+        halved(1e3 / 0.061),
+        celsius=celsius,
+        after=at_104_hz,
+    ),
     # It takes the LSM6DS3's 16 counts for 1 °C to be 256, as its successors have.
-    Judge("lsm6ds3", "adafruit_lsm6ds.lsm6ds33", with_codes(LSM, "LSM6DS33"), halved(1e3 / 0.061)),
+    Judge("lsm6ds3", "adafruit_lsm6ds.lsm6ds33", with_codes(LSM, "LSM6DS33"), halved(1e3 / 0.061), after=at_104_hz),
     # An IIS2ICLX as its sibling with the same registers, codes and identity; only the counts are its own.
     Judge(
         "iis2iclx",
@@ -184,10 +248,23 @@ JUDGES = (
         0.0,
         values=lambda sensor: sensor._raw_accel_data[:2],
         celsius=celsius,
+        after=lambda module, sensor: at_104_hz(module, sensor) and sensor._bdu,
     ),
-    Judge("mma8451", "adafruit_mma8451", by_adafruit("MMA8451"), halved(4096.0, ACCELEROMETER[:3])),
+    Judge(
+        "mma8451",
+        "adafruit_mma8451",
+        by_adafruit("MMA8451"),
+        halved(4096.0, ACCELEROMETER[:3]),
+        after=finds("data_rate", "DATARATE_100HZ"),
+    ),
     # It takes the part's 12 bits for 14.
-    Judge("msa311", "adafruit_msa3xx", by_adafruit("MSA311"), halved(1024.0)),
+    Judge(
+        "msa311",
+        "adafruit_msa3xx",
+        by_adafruit("MSA311"),
+        halved(1024.0),
+        after=finds("data_rate", "DataRate.RATE_125_HZ"),
+    ),
     # 3.9 µg a digit.
     Judge(
         "adxl355",
@@ -223,6 +300,7 @@ def test_it_reads_the_truth(judge: Judge, letter: str, word: str, monkeypatch: p
         for ours in (None, board.model.driver(board.part, board.clock)):
             if ours:
                 reading = ours.read()
+                assert judge.after(module, sensor)
             read = [value * counts for value in judge.values(sensor)]
             assert read == pytest.approx(board.counts(), abs=0.51 + judge.digit * counts / 2)
             if (celsius := judge.celsius(sensor)) is not None:

@@ -182,6 +182,7 @@ USER_OFFSETS = ("adxl345", "mma8451")
 RATES_OF_LINUX = {
     "adxl345": 10,
     "adxl355": 11,
+    "iis2iclx": 7,
     "bmi160": 8,
     "lis3dh": 7,
     "lsm6dsox": 7,
@@ -208,7 +209,7 @@ def check_rates(bus: AnsweredBus, judged: Judged) -> str:
         bits = (1 << max(row.sampling.rates.values()).bit_length()) - 1
         for rate, code in row.sampling.rates.items():
             nearest = min(offered, key=lambda one: abs(float(one) - rate))
-            if abs(float(nearest) - rate) > 0.05 * rate:
+            if abs(float(nearest) - rate) > 0.004 * rate:
                 continue
             written.clear()
             files[0].write_text(nearest)
