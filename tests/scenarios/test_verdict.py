@@ -61,7 +61,7 @@ def test_non_linearity_that_a_data_sheet_states_is_no_misfit() -> None:
     )
     assert sum(one.fit.p_value < 0.01 for one in with_sheet) <= 1
     assert sum("not credible" in str(one) for one in without) >= 4
-    assert all(any("non-linearity counts as zero" in note for note in one.fit.notes) for one in without)
+    assert all(any("nonlinearity assumed zero" in note for note in one.fit.notes) for one in without)
 
 
 @pytest.mark.parametrize("jig", [0.3, None])

@@ -47,7 +47,7 @@ class Conversation:
         self._answered_ns = self._minutes = 0
         self._chosen = ""
         self._attempts = ("", 0)
-        """The position that was last asked for in vain, and how often in a row."""
+        """The position of the last failed attempt, and how many failed in a row."""
 
     def ask(self, question: Question) -> OperatorAnswer:
         """Return the answer to a question, which goes to the journal; ask again where it cannot be understood.
@@ -119,7 +119,7 @@ class Conversation:
         count = count + 1 if position == before else 1
         self._attempts = (position, count)
         if count == self._operator.most_attempts:
-            raise Stopped(f"{position} was asked for {count} times in a row in vain, the last time because {why}")
+            raise Stopped(f"{position} failed {count} times in a row, the last time because {why}")
 
     def _show_reading(self, question: Question) -> None:
         """Take a reading that only the operator looks at."""

@@ -56,8 +56,8 @@ SAME = 1e-4  # directions that differ by less are one, g: 0.006°
 class Operator(Protocol):
     """Who brings the sensors into position.
 
-    A session stops where one position, or the stage, is asked for in vain ``most_attempts`` times in a row, of a person
-    never. ``watches`` is whether it is shown every reading, ``speaks_unasked`` whether it may answer while one settles.
+    A session stops after ``most_attempts`` failures in a row at one position or at the stage; None is never.
+    ``watches`` is whether it is shown every reading, ``speaks_unasked`` whether it may answer while one settles.
     """
 
     most_attempts: int | None = None

@@ -50,7 +50,7 @@ HEADERS = {
 }
 REPORT_POLICY = "sandbox; default-src 'none'; style-src 'unsafe-inline'; img-src data:; frame-ancestors 'none'"
 
-STRANGE = "not from the page, or not to its address: call it as tiltcal printed it, or start with --listen NAME:PORT"
+STRANGE = "not from the page, or not to its address: open the page by IP address, or start with --listen NAME:PORT"
 NO_TOKEN = "open the new address that the terminal shows"
 LONGEST_ANSWER = 4096
 """Bytes of an answer."""

@@ -21,7 +21,7 @@ STEADY, SIGMAS = 3.0, 4.0
 """A reading may change by so many repeatabilities while it is sampled, and so may its mean be uncertain; or by so many
 of the change's own standard uncertainties."""
 
-DIGITS = 6  # of a tilt in degrees, as a position has it
+DIGITS = 6  # decimals of a tilt, degrees
 
 
 def reference_of(bench: BenchFile) -> ReferenceDevice | None:

@@ -38,7 +38,7 @@ BLOCK_NS = 200_000_000  # time over which samples are collected before they are 
 LARGEST_BLOCK = 16  # samples: fewer than a turn has, so that every turn is reported
 SOONEST = 5  # turns before p and q are called known: fewer do not show how the turns scatter
 SHOWN_TURN = 2.25  # turns after which a whole one must have been among them
-EACH_OF = 100  # of the first so many turns each has p and q anew; of more it takes so much of them again
+EACH_OF = 100  # p and q are computed anew each turn up to here, then each time the turns grow by 1 %
 
 CONVERGED, ALL_TURNS, STOPPED = "p and q are known as asked", "all turns are made", "the operator stopped"
 

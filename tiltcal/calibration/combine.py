@@ -312,7 +312,8 @@ def _notes(sessions: Sequence[CombinedSession], design: Design) -> Iterator[str]
         if design.thermal and temperature_of(session.record) is None:
             yield f"{session.label} states no temperature: its offset is left out"
         elif session.observed and session.jig is None and design.jig is not None:
-            yield f"{session.label} does not state how level it was (--jig): its offset hardly counts"
+            unsaid = f"{session.label} does not state how level it was (--jig)"
+            yield f"{unsaid}: its drift is used; its offset gets almost no weight"
 
 
 def _require_agreement(

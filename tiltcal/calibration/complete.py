@@ -36,7 +36,7 @@ from tiltcal.files.coefficients import ANGLES, TURNS
 from tiltcal.files.procedure import LevelCompletion
 from tiltcal.files.results import NOISE_ALONE, CompletingRun, LevelFit, MountingFit
 
-NEARLY_LEVEL = 5.0  # the most that a position may be off level as it was set, degrees
+NEARLY_LEVEL = 5.0  # largest tilt still accepted as level, degrees
 
 NO_LEVEL = (
     "how level the sensor lay is not stated (--jig, --table-lean), and the uncertainty of its offset leaves it out"

@@ -92,11 +92,11 @@ def _remarks(found: Estimate, sensor: MeasuredSensor, design: Design) -> Iterato
     measurements = sensor.measurements
     if not (design.free or design.assumes_sensitivity):
         unseen = [axis for axis in AXES if len(design.channels) == 2 and axis not in design.axes]
-        missing = [f"the sensitivity to {axis}" for axis in unseen] + ["non-linearity"] * (not design.nonlinearity)
+        missing = [f"sensitivity to {axis}" for axis in unseen] + ["nonlinearity"] * (not design.nonlinearity)
         if missing:
             sheet = "no data sheet is named (--sensor)"
-            sheet = sheet if sensor.nominal is None else f"no data sheet of {sensor.nominal.name} states it"
-            yield f"{' and '.join(missing)} counts as zero: {sheet}"
+            sheet = sheet if sensor.nominal is None else f"no data-sheet value for {sensor.nominal.name}"
+            yield f"{' and '.join(missing)} assumed zero: {sheet}"
     if design.jig is None and along_gravity(design.channels, [measurement.gravity for measurement in measurements]):
         yield DRIFT_NOT_SHOWN
     if (found.estimated_jig or 0.0) > LARGEST_AGREEMENT:

@@ -23,11 +23,11 @@ if TYPE_CHECKING:
     from tiltcal.core.estimation.estimate import Estimate
     from tiltcal.core.estimation.positions import Design
 
-DIGITS = 4  # of an uncertainty
-TEMPERATURE_DIGITS = 3  # of the ends of a range, behind the point, °C
+DIGITS = 4  # significant digits of an uncertainty
+TEMPERATURE_DIGITS = 3  # decimals of the ends of a range, °C
 MATRIX_DIGITS = 1e4  # the covariance is rounded to this part of what four digits of its two uncertainties would be
-SHARE_DIGITS = 3  # of a share of a variance
-PRIOR_DIGITS = 9  # of an uncertainty that is taken out of a difference again
+SHARE_DIGITS = 3  # significant digits of a share of a variance
+PRIOR_DIGITS = 9  # digits of a prior's u, kept because it is subtracted later
 
 
 def stated_uncertainty(

@@ -32,8 +32,8 @@ CLEAR = "\r\x1b[2K"
 def command(calibration: Path, address: str | None, rate: float, seconds: float | None, as_json: bool) -> int:
     """Show the tilt of a sensor by its CALIBRATION until Ctrl-C.
 
-    Half of the 95 % interval stands behind each tilt, and why a reading is suspect behind all. On a terminal one line
-    renews itself; elsewhere each reading is a line. A reading that fails is said, the fifth in a row ends the command.
+    Each tilt is followed by ± its 95 % half-width; a suspect reading ends with the reason. On a terminal one line
+    renews itself; elsewhere each reading is a line. A failed reading is reported; five in a row end the command.
     """
     from tiltcal.bench.devices import ATTEMPTS
     from tiltcal.bench.live import as_calibrated, live_tilts

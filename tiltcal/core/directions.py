@@ -25,7 +25,7 @@ Directions = tuple[Vector, ...] | str
 _MARGIN = cos(radians(5.0))  # a row that is no further than this from a direction is inside
 _FLAT = 1e-6  # components below this are zero, g
 _ROUNDING = 1e-12
-_DIGITS = 4  # of a direction in a file: 0.006°
+_DIGITS = 4  # decimals of a direction in a file: 0.006°
 
 
 class Cone:

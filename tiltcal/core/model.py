@@ -25,8 +25,14 @@ Array = NDArray[np.float64]
 
 AXES = ("x", "y", "z")
 
-_KINDS = ("offset.", "sensitivity.", "temperature.offset.", "temperature.sensitivity.", "nonlinearity.")  # in order
-NEWTON_STEPS = 4  # of the nonlinearity's inverse: a nonlinearity of 5 % needs three to reach double precision
+_KINDS = (
+    "offset.",
+    "sensitivity.",
+    "temperature.offset.",
+    "temperature.sensitivity.",
+    "nonlinearity.",
+)  # the order of the names
+NEWTON_STEPS = 4  # iterations of the nonlinearity's inverse: 5 % needs three for double precision
 
 
 @dataclass(frozen=True)

@@ -43,9 +43,9 @@ _KINDS: tuple[Kind, ...] = ("white", "flicker", "walk", "walk")  # of the terms
 _LIMITS: Mapping[str, Limit] = {"B": "flicker", "K": "walk", "R": "drift"}
 _WIDTHS = (1, 2, 4, 8, 16, 32)  # stretches of a mean; of longer ones every start in 1/32 of the mean counts
 _PRESENT = 0.5  # share of a stretch's samples from which on its mean is used
-_FEWEST_STRETCHES = 4  # of the longest averaging time in the record
-_FEWEST_AVERAGES = 5  # of a size that is listed
-_FEWEST_OCTAVES = 6  # that remain when short ones are set aside
+_FEWEST_STRETCHES = 4  # fewest stretches of the longest averaging time
+_FEWEST_AVERAGES = 5  # fewest averages of a size that is listed
+_FEWEST_OCTAVES = 6  # fewest octaves left when short ones are set aside
 _SIZES = 12_000  # numbers of samples that are tried, evenly in their logarithm
 _CHUNK = 1 << 16  # samples that are summed up at once
 

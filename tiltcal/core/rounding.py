@@ -7,7 +7,7 @@ from math import ceil, floor, isfinite
 
 _GUARD_DIGITS = 3  # digits kept after the first one of the uncertainty: rounding adds less than a thousandth of it
 _DIGITS_WITHOUT_UNCERTAINTY = 12
-_NO_DIGIT = 1e-6  # of the last digit: what a binary fraction adds to a number that has it
+_NO_DIGIT = 1e-6  # part of the last digit that a binary fraction may add
 _ANY = Context(prec=1000)  # digits enough for any double
 _MOST_ZEROS = 4  # largest number of zeros before the first digit; smaller numbers have a power of ten
 

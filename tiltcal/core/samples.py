@@ -29,19 +29,19 @@ import numpy as np
 
 from tiltcal.core.model import Array
 
-BLOCKS = 10  # number of blocks whose means show correlation that std/sqrt(n) does not see
-_FLOOR = 1e-5  # of the median variance, that a reading that never changed counts as: 0 has no logarithm
-_COARSE = 0.5  # of the reading's step, below which noise leaves a rounding error in a mean
-_FEW_POSITIONS = 0.25  # relative standard deviations by which the scatter of rounded readings counts as lower
+BLOCKS = 10  # number of blocks whose means show correlated noise
+_FLOOR = 1e-5  # variance given to a constant reading, as a fraction of the median
+_COARSE = 0.5  # noise below this fraction of the step leaves a rounding error in a mean
+_FEW_POSITIONS = 0.25  # relative standard deviations subtracted from the scatter of rounded readings
 _SPREAD = 0.27  # standard deviation of the correlation of ten block means
-_MARGIN = 0.5  # standard deviations above its mean of a correlation that counts
-_CORRELATED_DOF = 2.0  # of a position's ten block means that are strongly correlated
-_ENOUGH = 5.0  # correlation times that a block should have
+_MARGIN = 0.5  # a correlation counts if it exceeds its mean by this many sigma
+_CORRELATED_DOF = 2.0  # degrees of freedom of ten strongly correlated block means
+_ENOUGH = 5.0  # shortest block, in correlation times
 ARITHMETIC = 1e-12  # differences below this share of the values come from arithmetic, and are no step of the reading
-_LOOKED_AT = 1 << 18  # samples from the beginning of a channel that show its step
-_MOST_VALUES = 4096  # different values beyond which a reading counts as continuous
-_WHOLE = 0.01  # by how many steps rounded readings are off a whole number of them, at most
-_REPEATED = 4.0  # how often a rounded reading takes each value, on average, at the least
+_LOOKED_AT = 1 << 18  # number of first samples from which the step is found
+_MOST_VALUES = 4096  # a reading of more different values is continuous
+_WHOLE = 0.01  # largest distance of rounded readings from whole steps, in steps
+_REPEATED = 4.0  # fewest samples per value of a rounded reading, on average
 _EVEN = 0.02
 """How far the distances of values may be off whole steps, in steps: readings are written with so many digits."""
 _SAME_NOISE = 0.01  # variances are one where chance scatters their logarithms as much with at least this probability

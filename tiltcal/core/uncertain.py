@@ -32,7 +32,7 @@ READING, ALIGNMENT = "single_reading.", "alignment"
 """Errors of one reading of a log, by channel, and of its ``temperature``; and of how the sensor sits, radians."""
 
 _FOLLOWS = 1e-12  # an error follows from others if no larger share of its variance is its own: rounding leaves so much
-_STEP = 1e-4  # of an uncertainty, by which its coefficient is moved to see how others follow
+_STEP = 1e-4  # step of a coefficient for derivatives, in its uncertainty
 
 
 @dataclass(frozen=True, eq=False)

@@ -41,7 +41,7 @@ _MILLISECOND = 1e-3  # times that are written to the millisecond may be off by a
 _LONGEST_GAP, _GAP_SHARE = 10_000_000, 100
 """Refuse a gap of more rows than this, and than so many times the rows before it."""
 
-_FEWEST_SAMPLES = 2  # of a position, for `measure`
+_FEWEST_SAMPLES = 2  # fewest samples of a position of `measure`
 _KINDS = {
     "N": ("white noise", sqrt(2.0), "/√Hz"),
     "B": ("flicker noise at any time", FLICKER, ""),
@@ -53,11 +53,11 @@ _KINDS = {
 _WHY: dict[Limit, str] = {
     "target": "the smallest number that meets the target",
     "record": "the longest that this record supports; more samples still help: record longer",
-    "rounding": "more do not help: the noise is too small to average the rounding out",
-    "flicker": "twice as many gain less than a tenth: flicker noise stays, however long the average",
-    "walk": "twice as many gain less than a tenth: random walk",
-    "drift": "twice as many gain less than a tenth: drift",
-    "unknown": "twice as many gain less than a tenth, for none of the usual kinds of noise",
+    "rounding": "more samples do not help: noise is too low to dither the rounding",
+    "flicker": "doubling the samples gains less than 10 %: flicker noise stays, however long the average",
+    "walk": "doubling the samples gains less than 10 %: random walk",
+    "drift": "doubling the samples gains less than 10 %: drift",
+    "unknown": "doubling the samples gains less than 10 %; the cause fits no standard noise type",
 }
 
 

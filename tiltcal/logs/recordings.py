@@ -23,7 +23,7 @@ from tiltcal.logs.formats import open_log
 from tiltcal.logs.log import LogReader, Progress
 
 SAME_LENGTH, APART = 0.05, 30.0  # of two attitudes that show it: their lengths, relative, and the turn between, degrees
-CONTRADICTED = 0.15  # by how much the length of gravity may differ from that of the unit, relative
+CONTRADICTED = 0.15  # largest relative difference of the length of gravity from that of the unit
 
 UNIT_LENGTHS = {**OF_G, "mm/s2": 9806.65}
 

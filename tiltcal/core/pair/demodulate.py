@@ -36,7 +36,7 @@ CHUNK = 1 << 16
 _MOST_BLOCKS = 512
 _WHITE = 4  # degrees of freedom that count for white noise, whatever the blocks say
 _SINGULAR = 1e-9
-_PLACES = 1e5  # of a turn that count as different
+_PLACES = 1e5  # resolution of the angle, in parts of a turn
 _SURPRISE = 0.005  # coarse blocks count where chance makes their scatter, for what finer ones say, less often than this
 
 

@@ -26,7 +26,7 @@ import numpy as np
 
 from tiltcal.core.model import Array
 
-FEWEST_TURNS = 2.0  # of the stage, from which p and q can be determined
+FEWEST_TURNS = 2.0  # fewest turns that determine p and q
 
 
 @dataclass(frozen=True)

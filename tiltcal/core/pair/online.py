@@ -36,7 +36,7 @@ COARSE = (
     "encoder; without --online they will do"
 )
 
-_COMPLETE = 0.5  # of a turn's rows must have all values
+_COMPLETE = 0.5  # fraction of a turn's rows that must have all values
 _FIRST_HARMONICS = [0, 1, 2, 3, ONE, DRIFT]
 _SETTLED = 1e-3  # in-phase residual, relative, below which the loop of p lets the loop of q begin
 _TURNS_TO_SETTLE = 20  # after which it begins anyway: noise may not let the residual be that small
@@ -44,9 +44,9 @@ _LOST = 1e-2  # residual, relative, above which a loop runs with its full gain a
 _FULL, _LEAST = 0.9, 0.03  # gains of a loop: at first, and when it has averaged for long
 _CALM = 8  # turns with full gain, in which the error goes
 _FARTHEST = 0.9  # p at which a loop gives up
-_LEAST_QUADRATURE = 0.1  # of the orthogonal accelerometer, over the first one
+_LEAST_QUADRATURE = 0.1  # smallest ratio of the orthogonal amplitude to the first
 _FEWEST_ESTIMATES, _LATE = 6, 200  # turns whose scatter is the uncertainty of a loop, at least and at most
-_GROUPS = 10  # of them, whose means show noise slower than a turn
+_GROUPS = 10  # number of groups of turns whose means show noise slower than a turn
 
 
 @dataclass(frozen=True)

@@ -21,19 +21,19 @@ from tiltcal.core.pair.model import FEWEST_TURNS
 from tiltcal.errors import Argument, EstimateError
 
 STANDSTILL = 0.05  # turns below which the stage does not turn
-PARTS = 8  # of a turn, each of which must have rows
+PARTS = 8  # number of parts of a turn that must each have rows
 BACKWARDS = 0.1875  # turns that the angle may fall behind its highest, by encoder noise and play
 STANDING = 4.0  # times the rows of a typical part after which the stage stands
 ROUNDING = 1e-6  # turns by which an angle may be rounded
 _JUMP = 0.125  # turns back from one row to the next from which on rows are missing
 _STUCK = 0.25  # turns over which a value must stay the same to be stuck
-_FEWEST_ROWS = 16  # that show a spin
-_ROWS_FOR_SPIN = 1 << 20  # from whose beginning the spin is estimated
-_TURNS_TO_FOLLOW, _ROWS_TO_FOLLOW = 16, 1 << 14  # that a piece has at least in which the spin is taken for steady
+_FEWEST_ROWS = 16  # fewest rows that show a spin
+_ROWS_FOR_SPIN = 1 << 20  # number of first rows from which the spin is estimated
+_TURNS_TO_FOLLOW, _ROWS_TO_FOLLOW = 16, 1 << 14  # shortest piece in which the spin counts as steady
 _MOST_SLIP = 0.5  # turns, over such a piece, by which its spin may differ from that before
-_STEPS, _FOLLOWING_STEPS = 20, 3  # of the iteration, at the beginning and from piece to piece
+_STEPS, _FOLLOWING_STEPS = 20, 3  # iterations at the beginning, and from piece to piece
 _CONVERGED = 1e-12  # turns over the whole record
-_PADDING = 2  # of the spectrum
+_PADDING = 2  # factor of zero padding of the spectrum
 _MOST_EMPTY = 8  # times the length of the rows that the record may be long
 _CLEAREST = 30.0  # times the median of the spectrum, in power, that the spin's line must have
 

@@ -6,11 +6,11 @@ A reading of channel i, in one attitude, at the thermometer's temperature T(t)::
 
 F being the filter of :mod:`tiltcal.core.thermal_lag`. For a given lag this is linear; the lag is found by variable
 projection (Golub and Pereyra, 1973). A lag separates the way up from the way down by a loop as wide as the lag times
-the pace, and so does hysteresis; a zero that wanders separates any two legs. What distinguishes them is whether a lag
+the pace, and so does hysteresis; zero drift separates any two legs. What distinguishes them is whether a lag
 that is fitted to some legs predicts another one. So every leg is left out once, and the lag is used only where it
 predicts each of them better, and where hysteresis without time does not explain the record as well.
 
-One lag is all: a record whose residuals turn with the temperature, by a second lag or because it starts on the way, is
+One lag is all: a record whose residuals depend on temperature, by a second lag or because it starts on the way, is
 refused with the pace at which one lag describes it.
 """
 
@@ -29,27 +29,27 @@ from tiltcal.core.ramp.record import Leg, RampRecord, averaged, legs_of, row_noi
 from tiltcal.core.thermal_lag import ThermalLag
 from tiltcal.errors import EstimateError
 
-RESOLVED = 2.0  # standard uncertainties that a lag is away from 0 where it is used
-PLACES = 8  # temperatures at which the ways are compared
-_LAG_RESOLUTION = 0.1  # of the range: a lag must be known better than the time in which the temperature crosses it
-_LEG_LAGS = 4.0  # lags that a leg lasts at least: else the element does not follow
-_WORSE = 0.02  # by which the mean square error of a channel may grow on a leg and not count as worse
-_LOOP, _TURNING = 0.01, 1e-4  # probability with which noise alone makes a loop, and residuals that turn
-_TURNS = 3.0  # mean square of the residuals behind the turns over that of the others where hysteresis crosses there
-_BEHIND_TURN = 0.1  # of a leg's range, in which hysteresis gets from one side to the other
-_LOOP_TERMS = 3  # of the polynomial of a loop: a play of a cubic, and Rayleigh's loop, have three
-_ONE_SIDED, _TWO_SIDED = 1.645, 1.96  # deviations that hold 95 % of a normal variable, to one side and to both
-_LAGS = 14  # of either sign that are tried first
+RESOLVED = 2.0  # a lag is used if it is more standard uncertainties from 0
+PLACES = 8  # number of temperatures at which legs are compared
+_LAG_RESOLUTION = 0.1  # largest uncertainty of a lag, as a fraction of the time to cross the temperature range
+_LEG_LAGS = 4.0  # shortest leg, in lags: in a shorter one the element does not follow
+_WORSE = 0.02  # largest relative growth of a leg's mean square error that is no worsening
+_LOOP, _TURNING = 0.01, 1e-4  # p-values below which a loop, and residuals that depend on temperature, are real
+_TURNS = 3.0  # least ratio of mean square residuals behind the turns to the others that shows hysteresis
+_BEHIND_TURN = 0.1  # part of a leg, behind a turn, in which hysteresis changes sides
+_LOOP_TERMS = 3  # terms of the polynomial of a loop: a play of a cubic, and Rayleigh's loop, have three
+_ONE_SIDED, _TWO_SIDED = 1.645, 1.96  # one- and two-sided 95 % normal quantiles
+_LAGS = 14  # grid points per sign in the initial search
 _TINY = np.finfo(float).tiny
-_MEANS = 256  # of a record that is fitted
-_NOISE_SHARE = 0.02  # what noise of a thermometer that is later may add to a mean, in parts of the loop
-_FEWEST_MEANS = 12  # of a leg, however noisy the thermometer
-_END_WEIGHT = 4.0  # the end of a line through n points has this weight over n (its leverage)
-_LASTS = np.geomspace(1.0 / 64.0, 1.2, 8)  # how long noise lasts, in times of the record; the last as a random walk
-_RATIOS = np.concatenate([[0.0], np.geomspace(1e-2, 1e5, 22)])  # variance of noise that lasts over that of white noise
-_PRIOR = np.concatenate([[0.5], np.full(22, 0.5 / 22)])  # half of the weight is on white noise alone
-_WIDER = 1.2  # of the variance of noise that lasts: 1.96 deviations of a mixture of sizes hold less than 95 %
-_DISTANCES = (1, 2, 4, 8)  # of second differences, in means: a step of the thermometer may last several
+_MEANS = 256  # most means to which a record is reduced before the fit
+_NOISE_SHARE = 0.02  # largest thermometer noise in a mean, as a fraction of the loop
+_FEWEST_MEANS = 12  # fewest means per leg, however noisy the thermometer
+_END_WEIGHT = 4.0  # leverage of an end of a line through n points, times n
+_LASTS = np.geomspace(1.0 / 64.0, 1.2, 8)  # noise correlation times, in record lengths; the last is a random walk
+_RATIOS = np.concatenate([[0.0], np.geomspace(1e-2, 1e5, 22)])  # ratios of correlated to white noise variance
+_PRIOR = np.concatenate([[0.5], np.full(22, 0.5 / 22)])  # prior of the grid: half on white noise alone
+_WIDER = 1.2  # factor on the variance of correlated noise: 1.96 sigma of a mixture hold less than 95 %
+_DISTANCES = (1, 2, 4, 8)  # spacings of second differences, in means: a step of the thermometer may last several
 
 
 @dataclass(frozen=True)
@@ -259,7 +259,7 @@ def _require_lag_resolved(legs: Sequence[Leg], lag: float, u: float) -> None:
 
 
 def _require_one_lag(means: RampMeans, lag: float, order: int, step: float) -> None:
-    """Refuse a record whose residuals turn with the temperature, by more than rounding of the thermometer explains.
+    """Refuse a record whose residuals depend on temperature, by more than rounding of the thermometer explains.
 
     A second lag acts like the second derivative by the lag, a start on the way decays; both grow with the pace.
     """
@@ -289,7 +289,7 @@ def _require_one_lag(means: RampMeans, lag: float, order: int, step: float) -> N
     if np.argmax(sizes**2 / np.diag(of_sizes)) == 1:
         cause = f"was not at rest at the start: begin at a temperature that was steady for {10.0 * lag:.0f} s"
     raise EstimateError(
-        f"at {pace:.2g} °C/min the residuals turn with the temperature, by up to {off:.2g} °C of it: one lag of "
+        f"at {pace:.2g} °C/min residuals depend on temperature (up to {off:.2g} °C equivalent): one lag of "
         f"{lag:.0f} s does not describe the record, because the element {cause}"
     )
 
@@ -333,7 +333,7 @@ class RampMeans:
             most = min(most, max(_NOISE_SHARE * degrees / (sqrt(2.0) * noise), _FEWEST_MEANS * len(legs)))
         counts = [int(most * (leg.end - leg.start) / rows) for leg in legs]
         if min(counts) < 2:
-            raise EstimateError("a leg of the record has hardly any rows: let the temperature go all the way each time")
+            raise EstimateError("a leg of the record has few rows: each leg must span the full temperature range")
         bounds = [np.linspace(leg.start, leg.end, n + 1).astype(int) for leg, n in zip(legs, counts, strict=True)]
         self._starts = np.concatenate([one[:-1] for one in bounds])
         self._powers: dict[float, Array] = {}

@@ -16,16 +16,16 @@ from tiltcal.core.samples import even_step
 from tiltcal.errors import EstimateError
 
 MOST = 4096  # means that a record has at least, where it has so many rows
-_FEWEST_ROWS = 32  # of a record
+_FEWEST_ROWS = 32  # fewest rows of a record
 _STEPS = 4.0  # usual steps by which a ramp of few rows may change from one row to the next
 _GAP = 10.0  # usual intervals without a row, after which any temperature may follow
-_BURST = 0.8  # of the mean interval, within which rows belong to one burst, which counts as one row
+_BURST = 0.8  # rows closer than this fraction of the mean interval count as one
 _FIRST = 5  # rows whose median is the temperature that a record begins with
-_TURN = 0.2  # of the whole range, by which the temperature must come back for a leg to end
+_TURN = 0.2  # a leg ends where the temperature comes back by this fraction of the range
 _SMALLEST_RANGE = 2.0  # °C; below it no drift is distinguished from noise
-_FEWEST_STEPS = 8  # of the thermometer, that the whole range must have
-_OVERLAP = 0.5  # of the whole range, that the ways up and the ways down must both cover
-_SQUARE_OF_90_PERCENT = 2.706  # what the square of a normal variable of variance 1 is below in 90 % of cases
+_FEWEST_STEPS = 8  # smallest range of the temperature, in steps of the thermometer
+_OVERLAP = 0.5  # fraction of the range that heating and cooling must both cover
+_SQUARE_OF_90_PERCENT = 2.706  # 90 % quantile of chi-square with one degree of freedom
 
 
 @dataclass(frozen=True)
