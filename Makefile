@@ -16,12 +16,13 @@ ifneq ($(shell cat $(STAMP) 2>/dev/null),$(shell $(IDENTIFY) 2>/dev/null))
 .PHONY: $(STAMP)
 endif
 
-.PHONY: help demo test test-judges test-kernel check bench fixtures reference site firmware clean
+.PHONY: help demo test test-lowest test-judges test-kernel check bench fixtures reference site firmware clean
 
 help:
 	@echo "make demo         calibrate a virtual sensor, show what that does to a recorded log, and write its report"
 	@echo "make test         run the tests"
 	@echo "make test-judges  let drivers by other hands, and Linux's in QEMU, read our virtual parts"
+	@echo "make test-lowest  run one command of each kind with the lowest versions that pyproject.toml admits"
 	@echo "make test-kernel  run the GPIO driver, and Linux's drivers of our parts, on Debian's kernel in QEMU"
 	@echo "make check        lint, types, layers, and what the wheel holds"
 	@echo "make bench        measure how fast it is, beside polars and others; benchmarks/README.md has the long ones"
@@ -45,6 +46,19 @@ test-judges: $(STAMP)
 
 test-kernel: $(STAMP)
 	@tests/kernel/run
+
+# One command of each kind: a session and its replay, logs of each format, report, export, match and a bus.
+LOWEST := $(VENV)/lowest
+LOWEST_TESTS := tests/project/test_installed.py tests/contract/test_every_bus.py tests/commands/test_apply_netcdf.py \
+	tests/commands/test_log_formats.py tests/commands/test_report.py tests/commands/test_match.py tests/commands/test_export.py
+
+test-lowest: $(STAMP)
+	@$(RUN) -c 'import uv' 2>/dev/null || { echo "test-lowest skipped: uv is not installed (pip install uv)"; exit 0; }; \
+		$(RUN) -m uv venv --quiet --clear --seed --python $(RUN) $(LOWEST) && \
+		$(RUN) -m uv pip install --quiet --python $(LOWEST)/bin/python --resolution lowest-direct -e '.[dev]' && \
+		{ $(RUN) -m uv pip install --quiet --python $(LOWEST)/bin/python --resolution lowest-direct -e '.[spi]' \
+			|| echo "no SPI: python-spidev cannot be built here" >&2; } && \
+		$(LOWEST)/bin/python -B -m pytest -q $(LOWEST_TESTS)
 
 check: $(STAMP)
 	@$(RUN) -m ruff check .
