@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from math import hypot, radians, sqrt
@@ -17,13 +17,13 @@ from tiltcal.calibration.record import half_widths, tilt_lines
 from tiltcal.calibration.wording import label
 from tiltcal.core.attitude import STRAIGHT, Orientation, solve_mounting
 from tiltcal.core.estimation.design import predict_uncertainty
-from tiltcal.core.estimation.positions import InstrumentErrors, Observation
-from tiltcal.core.model import Limits
+from tiltcal.core.estimation.positions import Design, Observation
+from tiltcal.core.model import Array, Limits
 from tiltcal.core.samples import rounding_of_means
 from tiltcal.drivers.model import Model
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
 from tiltcal.files.coefficients import ANGLES
-from tiltcal.files.procedure import LevelCompletion, MountingCompletion, PositionProcedure, Ramp
+from tiltcal.files.procedure import LevelCompletion, MountingCompletion, Position, PositionProcedure, Ramp
 from tiltcal.printable import in_html, in_minutes
 
 PARTS = 8  # positions that stand for a leg of a ramp
@@ -62,56 +62,85 @@ class Plan:
 
 
 def _predict_mounting(
-    procedure: MountingCompletion, model: Model, jig: float | None, noise: float | None, samples: int | None
+    procedure: MountingCompletion, model: Model, bench: BenchUncertainty, scatter: float, samples: int
 ) -> Plan:
     """Predict the uncertainty of a mounting beside that of the calibration, of a sensor that sits straight."""
-    scatter = _usual_noise(model) if noise is None else noise
-    read = scatter / sqrt(samples or procedure.samples) / model.sensitivity
+    read = scatter / sqrt(samples) / model.sensitivity
     known = np.array([position.gravity for position in procedure.positions])
-    turns = solve_mounting(known, known, np.full(len(known), hypot(radians(jig or 0.0), read))).covariance
+    turns = solve_mounting(known, known, np.full(len(known), hypot(radians(bench.jig or 0.0), read))).covariance
     u = dict(zip(ANGLES, np.degrees(np.sqrt(np.diag(turns))).tolist(), strict=True))
-    with_what = f"with its noise and {_jig_in_words(jig)}"
+    with_what = f"with its noise and {_jig_in_words(bench)}"
     lines = [
         f"predicted standard uncertainty of a sensor that is mounted straight, {with_what}:",
         *(f"  {angle:<6} {value:.2g}°" for angle, value in u.items()),
         "  that of its calibration comes on top",
     ]
-    data = {"jig": jig, "uncertainty": {f"mounting.{angle}": value for angle, value in u.items()}}
+    data = {"jig": bench.jig, "uncertainty": {f"mounting.{angle}": value for angle, value in u.items()}}
     return Plan(data, "\n".join(lines), lines[0].rstrip(":"))
 
 
 def predict(
     procedure: PositionProcedure,
     model: Model,
+    bench: BenchUncertainty,
     *,
-    jig: float | None = None,
-    thermometer: float | None = None,
-    table_lean: float | None = None,
     noise: float | None = None,
     samples: int | None = None,
     settle: float | None = None,
     orientation: Orientation = STRAIGHT,
     sensors: int = 1,
     base: CalibrationRecord | None = None,
-    instrument: InstrumentErrors | None = None,
 ) -> Plan:
     """Predict the standard uncertainty of every coefficient equal sensors reach; no stated jig is a perfect one."""
-    if isinstance(procedure, MountingCompletion):
-        return _predict_mounting(procedure, model, jig, noise, samples)
-    samples = samples or procedure.samples
+    samples, scatter = samples or procedure.samples, _usual_noise(model) if noise is None else noise
     seconds = procedure.least_seconds(samples, model.interval, settle or procedure.settle)
-    if isinstance(procedure, Ramp):
-        procedure = _along_ramp(procedure)
+    match procedure:
+        case MountingCompletion():
+            return _predict_mounting(procedure, model, bench, scatter, samples)
+        case Ramp():
+            procedure = _along_ramp(procedure)
+    if bench.thermometer is None:
+        bench = replace(bench, thermometer=model.thermometer_rounding)
     identity = SensorIdentity(model.name, "", model.unit, model.channels)
-    bench = BenchUncertainty(jig, model.thermometer_rounding if thermometer is None else thermometer, table_lean)
-    bench = replace(bench, instrument=instrument)
-    design = design_of(identity, procedure, bench, nominal=model, base=base)
-    scatter = _usual_noise(model) if noise is None else noise
-    drift, positions = _usual_drift(model, base), procedure.positions
-    settings = [None, *((position.gravity, position.heading) for position in positions)]
+    design, drift = design_of(identity, procedure, bench, nominal=model, base=base), _usual_drift(model, base)
+    planned = _planned(procedure.positions, design, model, orientation, scatter, samples)
+    level = isinstance(procedure, LevelCompletion)
+    found = predict_uncertainty(
+        design, planned, sensitivity=model.sensitivity, drift=drift, sensors=sensors, level=level
+    )
+    limits = Limits(covered_tilts(design.channels, [position.gravity.tolist() for position in planned]))
+    tilts = half_widths(found.coefficients, found.uncertain, limits)
+    one_heading = len({(position.heading or 0.0) % 360.0 for position in procedure.positions}) == 1
+    not_covered = LEAN if one_heading and bench.table_lean is None and not design.free else None
+    data = {
+        "noise": scatter,
+        "jig": None if design.free else design.jig,
+        "uncertainty": found.uncertain.by_name(found.uncertain.u),
+        "degrees_of_freedom": found.dof,
+        "tilt": {
+            axis: [[round(float(tilt[k]), 6), float(half[k])] for k in (0, int(np.argmin(np.abs(tilt))), -1)]
+            for axis, (tilt, half) in tilts.items()
+        },
+        "seconds": seconds,
+        "worth_adding": [list(position) for position in found.worth_adding],
+        "not_covered": not_covered,
+    }
+    near = ", ".join(
+        f"tilt {axis} ± {np.min(half[np.argmin(np.abs(tilt))]):.2g}°" for axis, (tilt, half) in tilts.items()
+    )
+    assumed = f" {_assumed(bench)}" if not design.free else ""
+    lines = [*_lines(data, model, bench, design, drift, tilts), *filter(None, (not_covered and f"  {not_covered}",))]
+    return Plan(data, "\n".join(lines), f"{near} near level (95 %) is predicted{assumed}")
+
+
+def _planned(
+    positions: Sequence[Position], design: Design, model: Model, orientation: Orientation, scatter: float, samples: int
+) -> list[Observation]:
+    """Return what positions will observe, with the uncertainty of their means."""
     adc = rounding_of_means(scatter**2, model.resolution, len(positions)) if model.resolution else 0.0
     u = max(hypot(scatter / sqrt(samples), adc), 1e-12 * abs(model.sensitivity))
-    planned = [
+    settings = [None, *((position.gravity, position.heading) for position in positions)]
+    return [
         Observation(
             one.name,
             np.array(orientation.seen(one.gravity)),
@@ -124,70 +153,42 @@ def predict(
         )
         for one, (before, setting) in zip(positions, pairwise(settings), strict=True)
     ]
-    prediction = predict_uncertainty(
-        design,
-        planned,
-        sensitivity=model.sensitivity,
-        drift=drift,
-        sensors=sensors,
-        level=isinstance(procedure, LevelCompletion),
-    )
-    limits = Limits(covered_tilts(design.channels, [position.gravity.tolist() for position in planned]))
-    tilts = half_widths(prediction.coefficients, prediction.uncertain, limits)
-    uncertainty = prediction.uncertain.by_name(prediction.uncertain.u)
-    one_heading = len({(position.heading or 0.0) % 360.0 for position in positions}) == 1
-    not_covered = LEAN if one_heading and table_lean is None and not design.free else None
-    data = {
-        "noise": scatter,
-        "jig": None if design.free else design.jig,
-        "uncertainty": uncertainty,
-        "degrees_of_freedom": prediction.dof,
-        "tilt": {
-            axis: [[round(float(tilt[k]), 6), float(half[k])] for k in (0, int(np.argmin(np.abs(tilt))), -1)]
-            for axis, (tilt, half) in tilts.items()
-        },
-        "seconds": seconds,
-        "worth_adding": [list(position) for position in prediction.worth_adding],
-        "not_covered": not_covered,
-    }
-
-    def lines() -> Iterator[str]:
-        """Yield the plan in words."""
-        set_by = "positions that are not set" if design.free else _jig_in_words(jig)
-        if instrument is not None:
-            set_by = f"a reference whose zero is known to {instrument.zero:.2g}°, each tilt to {jig or 0.0:.2g}°"
-        yield f"predicted standard uncertainty, with {scatter:.2g} {model.unit} of noise a sample and {set_by}:"
-        if design.thermal and design.thermometer:
-            part = f"for a part that drifts by {drift:.2g} {model.unit}/°C"
-            yield f"  and temperatures that are known to {design.thermometer:.2g} °C, {part}"
-        for name, u in uncertainty.items():
-            # What unit gravity leaves open is the choice of a frame, in which these are 0.
-            if u > 0.0 or not design.free:
-                yield f"  {name:<28} {u:.2g} {label(name, model.unit).unit}".rstrip()
-        yield from tilt_lines(tilts)
-        unchecked = "" if prediction.dof else ": no residuals are left to check the result"
-        yield f"  degrees of freedom {prediction.dof}{unchecked}"
-        for name, coefficient, share in prediction.worth_adding[:SHOWN]:
-            cut = f"would cut the uncertainty of {_in_words(coefficient)} by {100 * (1 - share):.0f} %"
-            yield f"  One more position, {name}, {cut}"
-        if jig is None and not design.free:
-            yield f"  This is {_assumed(jig)}"
-        held = in_minutes(seconds)
-        yield f"  readings are held still and sampled for {held}; setting and changing temperatures on top"
-        if not_covered:
-            yield f"  {not_covered}"
-
-    near = ", ".join(
-        f"tilt {axis} ± {np.min(half[np.argmin(np.abs(tilt))]):.2g}°" for axis, (tilt, half) in tilts.items()
-    )
-    assumed = f" {_assumed(jig)}" if not design.free else ""
-    return Plan(data, "\n".join(lines()), f"{near} near level (95 %) is predicted{assumed}")
 
 
-def _assumed(jig: float | None) -> str:
+def _lines(
+    data: Mapping[str, Any],
+    model: Model,
+    bench: BenchUncertainty,
+    design: Design,
+    drift: float,
+    tilts: Mapping[str, tuple[Array, Array]],
+) -> Iterator[str]:
+    """Yield a plan in words."""
+    set_by = "positions that are not set" if design.free else _jig_in_words(bench)
+    yield f"predicted standard uncertainty, with {data['noise']:.2g} {model.unit} of noise a sample and {set_by}:"
+    if design.thermal and design.thermometer:
+        part = f"for a part that drifts by {drift:.2g} {model.unit}/°C"
+        yield f"  and temperatures that are known to {design.thermometer:.2g} °C, {part}"
+    for name, u in data["uncertainty"].items():
+        # What unit gravity leaves open is the choice of a frame, in which these are 0.
+        if u > 0.0 or not design.free:
+            yield f"  {name:<28} {u:.2g} {label(name, model.unit).unit}".rstrip()
+    yield from tilt_lines(tilts)
+    dof = data["degrees_of_freedom"]
+    yield f"  degrees of freedom {dof}{'' if dof else ': no residuals are left to check the result'}"
+    for name, coefficient, share in data["worth_adding"][:SHOWN]:
+        cut = f"would cut the uncertainty of {_in_words(coefficient)} by {100 * (1 - share):.0f} %"
+        yield f"  One more position, {name}, {cut}"
+    if bench.jig is None and not design.free:
+        yield f"  This is {_assumed(bench)}"
+    held = in_minutes(data["seconds"])
+    yield f"  readings are held still and sampled for {held}; setting and changing temperatures on top"
+
+
+def _assumed(bench: BenchUncertainty) -> str:
     """Return what a prediction takes for granted of the angles that are set."""
-    if jig is not None:
-        return f"with a jig of {jig:g}°"
+    if bench.jig is not None:
+        return f"with {_jig_in_words(bench)}"
     return "if every angle is set exactly: no --jig is stated, and what the positions show will be larger"
 
 
@@ -210,8 +211,11 @@ def _in_words(coefficient: str) -> str:
     return f"S_{index}" if letter == "S" else f"the {name[:1].lower()}{name[1:]}"
 
 
-def _jig_in_words(jig: float | None) -> str:
-    return "a perfect jig (none is stated)" if jig is None else f"a jig of {jig:g}°"
+def _jig_in_words(bench: BenchUncertainty) -> str:
+    if bench.instrument is not None:
+        zero, each = bench.instrument.zero, bench.jig or 0.0
+        return f"a reference whose zero is known to {zero:.2g}°, each tilt to {each:.2g}°"
+    return "a perfect jig (none is stated)" if bench.jig is None else f"a jig of {bench.jig:g}°"
 
 
 def _usual_noise(model: Model) -> float:

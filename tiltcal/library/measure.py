@@ -103,10 +103,7 @@ def plan(procedure: str | Path, **options: Unpack[PlanOptions]) -> Plan:
         jig, stated["table_lean"] = known.jig, known.table_lean
     bench = BenchUncertainty(jig, stated["thermometer"], stated["table_lean"])
     bench = uncertainty_with(None if known is None else reference_of(known), bench)
-    return predict(
-        steps, model, jig=bench.jig, thermometer=bench.thermometer, table_lean=bench.table_lean, noise=noise,
-        samples=samples, base=own, instrument=bench.instrument,
-    )  # fmt: skip
+    return predict(steps, model, bench, noise=noise, samples=samples, base=own)
 
 
 @takes(MeasureOptions)
@@ -210,32 +207,17 @@ def resumed(
 
 def _begun(procedure: str | Path | None, given: MeasureOptions) -> Session:
     """Return a new session, and remark how well it will determine the coefficients."""
-    base, remark, resume = given["base"], given["remark"], given["resume"]
-    named = cast("BenchFile | str | Path | None", given["bench"])
-    sensor, serial, address = given["sensor"], given["serial"], given["address"]
+    base, remark, named = given["base"], given["remark"], cast("BenchFile | str | Path | None", given["bench"])
     output = None if given["output"] is None else Path(given["output"])
-    if base is not None and named is None and os.path.isfile(base):
-        identity = read_calibration(base).sensor
-        sensor, serial = sensor or identity.model, serial or identity.serial
-    one = {"sensor": sensor, "address": address, "serial": serial}
-    wanted = {"procedure": procedure, **({} if named is not None else {**one, "output": output})}
-    absent = [name for name, value in wanted.items() if value is None]
-    if resume is not None and absent:
-        raise JournalError("no such journal", file=str(resume))
-    if absent:
-        raise UsageError(("measure needs ", *listed(absent), " (or ", Argument("resume", "JOURNAL"), ")"))
-    if named is not None and any(one.values()):
-        raise UsageError(
-            ("the ", Argument("bench"), " file names the sensors"), advice=("leave ", *listed(one), " out")
-        )
+    one = _one_sensor(procedure, given)
     steps = find_procedure(str(procedure), given["tilt"])
     steps = steps.with_turns(given["turns"]).with_alignment(given["alignment"])
     if given["closing"]:
         steps = steps.in_positions().with_closing()
     steps.require_usable(samples=given["samples"], settle=given["settle"], jig=given["jig"])
     if named is None:
-        require_name(str(serial), "the serial number")
-        bench = single(str(sensor), str(serial), str(address))
+        require_name(one["serial"], "the serial number")
+        bench = single(str(one["sensor"]), str(one["serial"]), str(one["address"]))
     elif isinstance(named, BenchFile):
         bench = named
     else:
@@ -247,7 +229,7 @@ def _begun(procedure: str | Path | None, given: MeasureOptions) -> Session:
     read = [path for path in (procedure, base, named) if isinstance(path, str | Path) and os.path.isfile(path)]
     for written in filter(None, outputs):
         require_apart(written, *read)
-    path = resume or given["journal"]
+    path = given["resume"] or given["journal"]
     path = free_journal(beside, remark) if path is None else Path(path)
     operator = given["operator"] or "terminal"
     setup = Setup.begin(
@@ -265,19 +247,31 @@ def _begun(procedure: str | Path | None, given: MeasureOptions) -> Session:
     for why in setup.overdue():
         remark(why)
     try:
-        beside.parent.mkdir(exist_ok=True)
+        if named is not None:
+            beside.parent.mkdir(exist_ok=True)
     except OSError as error:
-        why = f"{beside.parent} cannot be made: {error.strerror}"
-        raise UsageError(
-            (
-                "with ",
-                Argument("bench"),
-                ", ",
-                Argument("output"),
-                f" names the folder for the calibration files; {why}",
-            )
-        ) from None
+        folder = f" names the folder for the calibration files; {beside.parent} cannot be made: {error.strerror}"
+        raise UsageError(("with ", Argument("bench"), ", ", Argument("output"), folder)) from None
     return Session(setup, path)
+
+
+def _one_sensor(procedure: str | Path | None, given: MeasureOptions) -> dict[str, str | None]:
+    """Return model, address and serial number of one sensor, stated or of its base; refuse what is not stated."""
+    sensor, serial, base = given["sensor"], given["serial"], given["base"]
+    if base is not None and given["bench"] is None and os.path.isfile(base):
+        identity = read_calibration(base).sensor
+        sensor, serial = sensor or identity.model, serial or identity.serial
+    one = {"sensor": sensor, "address": given["address"], "serial": serial}
+    wanted = {"procedure": procedure, **({} if given["bench"] is not None else {**one, "output": given["output"]})}
+    absent = [name for name, value in wanted.items() if value is None]
+    if given["resume"] is not None and absent:
+        raise JournalError("no such journal", file=str(given["resume"]))
+    if absent:
+        raise UsageError(("measure needs ", *listed(absent), " (or ", Argument("resume", "JOURNAL"), ")"))
+    if given["bench"] is not None and any(one.values()):
+        why = ("the ", Argument("bench"), " file names the sensors")
+        raise UsageError(why, advice=("leave ", *listed(one), " out"))
+    return one
 
 
 def _predict(setup: Setup, remark: Callable[[str], None]) -> None:
@@ -302,21 +296,14 @@ def _predict(setup: Setup, remark: Callable[[str], None]) -> None:
         expected = predict(
             setup.steps.in_positions(),
             device.wired,
-            jig=bench.jig,
-            thermometer=bench.thermometer,
-            table_lean=bench.table_lean,
-            instrument=bench.instrument,
+            bench,
             samples=setup.settings.samples,
             settle=setup.settings.settle,
             orientation=device.orientation,
             sensors=len(setup.sensors),
             base=None if base is None else base.calibration,
         )
-        more = (
-            ""
-            if "degrees_of_freedom" not in expected.data or expected.data["degrees_of_freedom"]
-            else ("; no residuals are left to check the result")
-        )
+        more = "" if expected.data.get("degrees_of_freedom", 1) else "; no residuals are left to check the result"
         remark(f"{device.model}: {expected.brief}{more}; tiltcal plan says the rest")
 
 
