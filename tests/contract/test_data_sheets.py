@@ -72,7 +72,9 @@ def test_the_bytes_of_a_data_sheet_are_its_readings(sheet: dict[str, Any], row: 
             g = [(value - model.offset) / model.sensitivity for value in reading.values]
             assert g == pytest.approx(list(map(float, expected["g"])), abs=5e-6)
         if "celsius" in expected:
-            celsius = None if expected["celsius"] == "null" else pytest.approx(float(expected["celsius"]), abs=0.02)
+            digits = len(expected["celsius"].partition(".")[2])
+            near = min(0.02, 0.6 * 10.0**-digits)
+            celsius = None if expected["celsius"] == "null" else pytest.approx(float(expected["celsius"]), abs=near)
             assert reading.temperature == celsius
         if "step" in expected:
             assert reading.step == pytest.approx(float(expected["step"]))
@@ -109,6 +111,9 @@ def test_an_option_is_set_by_the_code_of_the_data_sheet(sheet: dict[str, Any], r
         device = VirtualDevice(find_model(sheet["model"]), option)
         device.sensor.read()
         assert bytes.fromhex(transaction) in [out for out, _, _ in device.line.sent], (option, transaction)
+        name, _, value = option.partition("=")
+        if name == "rate" and device.model.interval:
+            assert device.model.interval == pytest.approx(1.0 / float(value), rel=2e-3), option
 
 
 @each("refused")
