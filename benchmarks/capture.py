@@ -27,7 +27,7 @@ from tiltcal.drivers import find_model
 from tiltcal.drivers.bus import Link, open_link
 from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.bus.clock import SystemClock
-from tiltcal.files.journal import JournalWriter
+from tiltcal.journal.lines import JournalWriter
 
 KERNEL_BUFFER = 1024
 

@@ -15,6 +15,8 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
+from tiltcal.bench.setup import new_setup
+
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 from support.moving_machines import AMBIENT, CHAMBER, TABLE, VirtualChamber, VirtualTable, by_clock, movers_of
@@ -23,11 +25,11 @@ from tiltcal.bench.machines import Machines
 from tiltcal.bench.measure import run_session
 from tiltcal.bench.operators import VirtualJig
 from tiltcal.bench.session import Session
-from tiltcal.bench.setup import Setup
 from tiltcal.errors import BusError, Stopped
 from tiltcal.files.bench import BenchFile, BenchSensor
-from tiltcal.files.journal import read_journal
 from tiltcal.files.procedure import find_procedure
+from tiltcal.journal.header import Setup
+from tiltcal.journal.lines import read_journal
 
 RATE = 0.3
 
@@ -134,7 +136,7 @@ class FaultySession:
         chamber = None if steps.positions[0].temperature is None else CHAMBER
         bench = BenchFile(sensors, jig=0.05, table=TABLE, chamber=chamber)
         self._journal, outputs = folder / f"{serial}.journal.jsonl", [folder / f"{serial}.yaml"]
-        setup = Setup.begin(steps, bench, outputs, self._journal, operator="sim", samples=5, settle=0.1)
+        setup = new_setup(steps, bench, outputs, self._journal, operator="sim", samples=5, settle=0.1)
         self._session = Session(setup, self._journal)
         self._asked: dict = {}
         self._said: dict = {}

@@ -75,8 +75,8 @@ def twin(draw: Random) -> None:
 
 @target(share=60)
 def journal(draw: Random) -> None:
-    from tiltcal.bench.setup import Setup
-    from tiltcal.files.journal import read_journal
+    from tiltcal.journal.header import Setup
+    from tiltcal.journal.lines import read_journal
 
     lines = golden(f"{draw.choice(JOURNALS)}.journal.jsonl").encode().splitlines(keepends=True)
     first = draw.randrange(1, max(len(lines) - EVENTS, 2))

@@ -11,7 +11,6 @@ from typing import Any, NamedTuple, get_args, get_origin
 from msgspec import NODEFAULT, Struct
 from msgspec.structs import fields
 
-from tiltcal.bench.setup import Setup
 from tiltcal.files.bench import BenchFile
 from tiltcal.files.calibration import LimitsSection, SensorIdentity, TiltFile
 from tiltcal.files.coefficients import CoefficientsSection, UncertaintySection
@@ -21,6 +20,7 @@ from tiltcal.files.procedure_file import ProcedureFile, RotationSection
 from tiltcal.files.results import DerivedRecord, FitRecord, PositionRecord, ProcedureRecord, Provenance
 from tiltcal.files.tables import SegmentRow, TabledRow
 from tiltcal.files.twin import DiskSection, TwinFile
+from tiltcal.journal.header import Setup
 
 PAGE = Path(__file__).with_name("files.md")
 

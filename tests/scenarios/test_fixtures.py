@@ -15,12 +15,12 @@ import pytest
 from support import FIXTURES
 from support.command import tiltcal
 
-from tiltcal.bench.setup import Setup
 from tiltcal.files.calibration import read_calibration
 from tiltcal.files.document import read_document
-from tiltcal.files.journal import read_journal
 from tiltcal.files.procedure import shipped_procedures
 from tiltcal.files.twin import read_twin
+from tiltcal.journal.header import Setup
+from tiltcal.journal.lines import read_journal
 from tiltcal.library.calibration import read
 from tiltcal.library.measure import measure
 

@@ -33,8 +33,8 @@ from tiltcal.drivers import find_model
 from tiltcal.drivers.bus.clock import VirtualClock
 from tiltcal.errors import HardwareError
 from tiltcal.files.calibration import read_calibration
-from tiltcal.files.journal import ANSWER, read_journal
 from tiltcal.files.procedure import find_procedure
+from tiltcal.journal.lines import ANSWER, read_journal
 
 SENSORS = "".join(f'  - {{serial: A-{n}, model: adxl202-analog, address: "sim:?seed={n}"}}\n' for n in range(6))
 

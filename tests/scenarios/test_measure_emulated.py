@@ -19,10 +19,10 @@ from support.sca100t_part import Sca100tPart
 from support.sca3000_part import Sca3000Part
 from support.warm_start import WarmStart
 
-from tiltcal.bench.journal import calibrations_of
 from tiltcal.files.calibration import CalibrationRecord, read_calibration
-from tiltcal.files.journal import read_journal
 from tiltcal.files.procedure import find_procedure
+from tiltcal.journal.calibrations import calibrations_of
+from tiltcal.journal.lines import read_journal
 
 pytest.importorskip("spidev", reason="the spidev package is not installed")
 

@@ -17,7 +17,7 @@ from support.command import tiltcal
 
 from tiltcal import Calibration, measure
 from tiltcal.bench import devices, settle
-from tiltcal.bench.checks import PositionResult, require_plausible_temperature
+from tiltcal.bench.checks import require_plausible_temperature
 from tiltcal.bench.session import Session
 from tiltcal.bench.settle import Unsettled
 from tiltcal.calibration.measurement import Measurement
@@ -26,6 +26,7 @@ from tiltcal.drivers.virtual import Fixture, VirtualPart
 from tiltcal.errors import Stopped
 from tiltcal.files.procedure import Position, find_procedure
 from tiltcal.files.results import PositionSet
+from tiltcal.journal.positions import PositionResult
 
 TWIN = """\
 tiltcal: 1

@@ -14,7 +14,7 @@ from support.warm_start import WarmStart
 
 from tiltcal import Calibration, read
 from tiltcal.files.calibration import read_calibration
-from tiltcal.files.journal import read_journal
+from tiltcal.journal.lines import read_journal
 from tiltcal.library.measure import measure as measure_here
 
 JOURNAL = "S-1.journal.jsonl"

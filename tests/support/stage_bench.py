@@ -8,19 +8,20 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from tiltcal.bench import devices
-from tiltcal.bench.journal import calibrations_of
 from tiltcal.bench.measure import run_session
 from tiltcal.bench.messages import Event, Held, Matched, Poll, Question, Refused, Resumed, Turn, Write
 from tiltcal.bench.operators import Operator
 from tiltcal.bench.session import Session
-from tiltcal.bench.setup import Setup, single
+from tiltcal.bench.setup import new_setup, single
 from tiltcal.core.pair.model import Pair
 from tiltcal.drivers.bus.clock import VirtualClock
 from tiltcal.errors import BusError, Stopped
 from tiltcal.files.document import document_of
-from tiltcal.files.journal import read_journal
 from tiltcal.files.pair import PairRecord
 from tiltcal.files.procedure import procedure_in
+from tiltcal.journal.calibrations import calibrations_of
+from tiltcal.journal.header import Setup
+from tiltcal.journal.lines import read_journal
 
 A1_A2 = Pair("a1", "a2", "a4")
 A3_A4 = Pair("a3", "a4", "a1")
@@ -132,6 +133,4 @@ def _setup(pairs: Sequence[Pair], turns: int, converged: float | None, journal: 
         rotation["converged"] = converged
     stated = {"tiltcal": 1, "kind": "procedure", "name": "stage", "title": "a rotation", "rotation": rotation}
     bench = single("gradiometer", "G-1", "serial:///dev/null?columns=theta,a1,a2,a3,a4")
-    return Setup.begin(
-        procedure_in(document_of(stated)), bench, [journal.with_suffix(".yaml")], journal, operator="json"
-    )
+    return new_setup(procedure_in(document_of(stated)), bench, [journal.with_suffix(".yaml")], journal, operator="json")

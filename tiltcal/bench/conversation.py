@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from tiltcal.bench.devices import Recorder, Sample, SensorSet
+from tiltcal.bench.devices import Recorder, SensorSet
 from tiltcal.bench.guidance import SensorGuidance
-from tiltcal.bench.journal import RecordedSession
 from tiltcal.bench.messages import (
     Accepted,
     Event,
@@ -26,9 +25,11 @@ from tiltcal.bench.operators import LOOK, Operator, understood
 from tiltcal.bench.reference import guidance_of
 from tiltcal.core.attitude import Vector
 from tiltcal.errors import HardwareError, InputError, Stopped
-from tiltcal.files.journal import ANSWER, OperatorAnswer
 from tiltcal.files.procedure import Position
 from tiltcal.files.record import plain
+from tiltcal.journal.lines import ANSWER, OperatorAnswer
+from tiltcal.journal.playback import Sample
+from tiltcal.journal.session import RecordedSession
 
 if TYPE_CHECKING:
     from tiltcal.bench.checks import Expectations

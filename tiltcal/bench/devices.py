@@ -4,67 +4,29 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, MutableMapping, Sequence
 from contextlib import ExitStack, closing, contextmanager
-from dataclasses import replace
 from datetime import UTC, datetime
 from functools import cached_property, partial
 from math import radians
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 from tiltcal.core.attitude import Vector
 from tiltcal.drivers.bus import CaptureEnded, Link, open_link
 from tiltcal.drivers.bus.address import Address
 from tiltcal.drivers.bus.clock import Clock, session_clock
 from tiltcal.drivers.model import Model, Reading, Sensor
-from tiltcal.errors import BusError, HardwareError, SensorError, UsageError
-from tiltcal.files.bench import BenchFile, BenchSensor, with_device_file
-from tiltcal.files.journal import HARDWARE_ERROR, JournalWriter
-from tiltcal.files.record import FromZero, about
+from tiltcal.errors import BusError, HardwareError, SensorError
+from tiltcal.files.bench import BenchSensor, with_device_file
+from tiltcal.journal.header import OF_THE_BENCH, THERMOMETER
+from tiltcal.journal.lines import HARDWARE_ERROR, JournalWriter
+from tiltcal.journal.playback import Sample, at_one_temperature, named_error
 
 if TYPE_CHECKING:
     from tiltcal.drivers.bus.modbus import ModbusLine
     from tiltcal.drivers.virtual import Fixture, Truth
 
 
-class Sample(dict[str, Reading]):
-    """One reading of each sensor of a bench, by serial number, and that of a reference on the plate, where one is."""
-
-    reference: Reading | None = None
-
-
 ATTEMPTS = 5  # failures in a row after which a sensor is given up
 RECOVERY = 1.0  # seconds that a bus is left alone after an error
-THERMOMETER = "(thermometer)"  # that of the bench, among serial numbers: none has parentheses
-REFERENCE = "(reference)"  # likewise
-OF_THE_BENCH = (THERMOMETER, REFERENCE)  # without which no sensor is measured
-
-
-class BenchDevice(BenchSensor, kw_only=True):
-    """A sensor or the thermometer of a session."""
-
-    always_written = ("output",)
-
-    serial: Annotated[str, about("serial number; empty of a thermometer")]
-    output: Annotated[str, about("calibration file, relative to the journal; empty where none is made")] = ""
-
-
-def thermometer_of(bench: BenchFile) -> BenchDevice | None:
-    """Return the thermometer of a bench; a UsageError where it reports no temperature."""
-    if bench.thermometer is None:
-        return None
-    named = bench.thermometer
-    thermometer = BenchDevice(model=named.model, serial="thermometer", address=named.address, device=named.device)
-    if not thermometer.wired.thermometer:
-        raise UsageError(f"{thermometer.model} reports no temperature: it cannot be the bench's thermometer")
-    return thermometer
-
-
-class ReferenceDevice(BenchDevice, kw_only=True):
-    """The reference instrument of a session."""
-
-    zero: Annotated[FromZero, about("standard uncertainty of its zero, degrees")]
-    scale: Annotated[FromZero, about("of its scale, as a share")]
-    repeatability: Annotated[FromZero, about("of each of its tilts beside, degrees")]
-    alignment: Annotated[FromZero, about("of its turn about the vertical, degrees")]
 
 
 class VirtualBench:
@@ -268,22 +230,6 @@ class SensorSet:
             )
         else:
             raise error
-
-
-def at_one_temperature(readings: dict[str, Reading]) -> Sample:
-    """Return readings by serial number with the temperature of the bench's thermometer, where it is among them."""
-    thermometer, reference = (readings.pop(name, None) for name in OF_THE_BENCH)
-    if thermometer is not None:
-        readings = {serial: replace(one, temperature=thermometer.temperature) for serial, one in readings.items()}
-    sample = Sample(readings)
-    sample.reference = reference
-    return sample
-
-
-def named_error(name: str, error: HardwareError, *, alone: bool) -> SensorError:
-    """Return an error with the name of its device, unless that is the only sensor."""
-    where = () if alone and name not in OF_THE_BENCH else (f"{name.strip('()')}: ",)
-    return SensorError(name, (*where, *error.words))
 
 
 class Recorder:

@@ -8,9 +8,9 @@ from functools import partial
 
 from tiltcal.bench.drives import Angles, open_drive
 from tiltcal.bench.machines import Mover, carrier_of, in_words, wanted
-from tiltcal.bench.setup import Setup
 from tiltcal.drivers.bus.clock import session_clock
 from tiltcal.errors import HardwareError, UsageError
+from tiltcal.journal.header import Setup
 from tiltcal.printable import in_minutes
 
 

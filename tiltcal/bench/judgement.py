@@ -8,16 +8,16 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from tiltcal.bench.journal import fitted
 from tiltcal.bench.messages import Refused, StopAndKeep
 from tiltcal.bench.operators import Operator
 from tiltcal.errors import EstimateError, HardwareError, Stopped, TiltcalError, WrongPositions
-from tiltcal.files.journal import OperatorAnswer
 from tiltcal.files.procedure import Ramp, Rotation, Verification
+from tiltcal.journal.calibrations import fitted
+from tiltcal.journal.lines import OperatorAnswer
 
 if TYPE_CHECKING:
-    from tiltcal.bench.checks import PositionResult
     from tiltcal.bench.session import Session
+    from tiltcal.journal.positions import PositionResult
 
 MOST_TAKES = 3  # takes of one position without agreement, after which the session stops
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from tiltcal.bench.devices import THERMOMETER, BenchDevice, Recorder, VirtualBench, connected, probe_devices
+from tiltcal.bench.devices import Recorder, VirtualBench, connected, probe_devices
 from tiltcal.calibration.record import compensation_of
 from tiltcal.calibration.stated import stated_uncertainty
 from tiltcal.core.angle_uncertainty import CompensationWithUncertainty
@@ -23,6 +23,7 @@ from tiltcal.drivers.model import Model, Reading
 from tiltcal.errors import EstimateError, InputError
 from tiltcal.files.bench import BenchSensor
 from tiltcal.files.calibration import CalibrationRecord
+from tiltcal.journal.header import THERMOMETER, BenchDevice
 
 OTHER_SCALE = 1.4
 """A calibrated sensitivity that differs by more than this factor from the model's is of another range or scale."""

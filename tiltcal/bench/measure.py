@@ -8,7 +8,6 @@ from contextlib import ExitStack, contextmanager
 from functools import partial
 
 from tiltcal.bench.devices import RECOVERY
-from tiltcal.bench.journal import SessionResult, calibrations_of
 from tiltcal.bench.judgement import Judgement
 from tiltcal.bench.messages import Lost, Write
 from tiltcal.bench.operators import NAMED, Operator, Program, PythonObject, VirtualJig
@@ -25,8 +24,9 @@ from tiltcal.errors import (
     TiltcalError,
     UsageError,
 )
-from tiltcal.files.journal import read_journal
 from tiltcal.files.procedure import Rotation
+from tiltcal.journal.calibrations import SessionResult, calibrations_of
+from tiltcal.journal.lines import read_journal
 
 
 @contextmanager

@@ -8,8 +8,6 @@ import select
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import replace
-from math import dist
 from queue import SimpleQueue
 from threading import Thread
 from typing import Protocol, TextIO
@@ -36,13 +34,11 @@ from tiltcal.bench.messages import (
     Turn,
 )
 from tiltcal.bench.typed import with_numbers
-from tiltcal.core.attitude import gravity_from_tilt, normalised
 from tiltcal.core.detection import TEMPERATURES
 from tiltcal.core.rounding import plus_minus
 from tiltcal.errors import InputError, Stopped, UsageError
 from tiltcal.files.document import document_of
-from tiltcal.files.journal import OperatorAnswer
-from tiltcal.files.procedure import Position
+from tiltcal.journal.lines import OperatorAnswer
 from tiltcal.stated_arguments import of_python
 
 NAMED = ("terminal", "web", "json", "sim")  # a person at the terminal or at a page, a program, the virtual jig
@@ -50,7 +46,6 @@ NAMES = ("ready", "again")  # the answers that may name a position
 
 LOOK = "look"  # the answer of an operator that wants to see a reading before it is asked again
 CHUNK = LONGEST = 1 << 16  # bytes that are read at once, and of a line without an end that are kept
-SAME = 1e-4  # directions that differ by less are one, g: 0.006°
 
 
 class Operator(Protocol):
@@ -75,25 +70,6 @@ class Operator(Protocol):
     def to_take_again(self, wrong: Sequence[str], taken: Sequence[str]) -> Sequence[str]:
         """Return which of the positions ``taken`` are to be taken again where some contradict the others."""
         return wrong
-
-
-def as_set(position: Position, answer: OperatorAnswer) -> Position:
-    """Return a position with the angles and the temperature that the operator actually set.
-
-    InputError: no direction has these angles, or they contradict the direction that was set.
-    """
-    if answer.temperature is not None and position.temperature is not None:
-        position = replace(position, temperature=answer.temperature)
-    direction = None if answer.gravity is None else normalised(answer.gravity)
-    if answer.tilt:
-        tilt = {**(position.tilt or {}), **answer.tilt}
-        reached = gravity_from_tilt(tilt)
-        if direction is not None and min(dist(direction, reached), dist(direction, position.gravity)) > SAME:
-            raise InputError(
-                "the answer has a tilt and a gravity that contradict each other: give the one that was reached"
-            )
-        return replace(position, gravity=reached, tilt=tilt)
-    return position if direction is None else replace(position, gravity=direction, tilt=None)
 
 
 def understood(said: object, words: Sequence[str] = PositionQuestion.words) -> OperatorAnswer:

@@ -9,79 +9,25 @@ from __future__ import annotations
 import errno
 import os
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO
+from typing import TYPE_CHECKING
 
-from tiltcal.bench.devices import (
-    RECOVERY,
-    THERMOMETER,
-    Recorder,
-    Sample,
-    SensorSet,
-    VirtualBench,
-    connected,
-    probe_devices,
-    thermometer_of,
-)
-from tiltcal.bench.setup import column_name
+from tiltcal.bench.devices import RECOVERY, Recorder, SensorSet, VirtualBench, connected, probe_devices
 from tiltcal.drivers.bus.clock import VIRTUAL_START, Clock, session_clock
-from tiltcal.drivers.model import Model, link_in_words
+from tiltcal.drivers.model import link_in_words
 from tiltcal.errors import Argument, UsageError
 from tiltcal.files.atomic import BINARY, append_whole, sync_data
 from tiltcal.files.bench import BenchFile
-from tiltcal.files.moments import moment_after, stamp
+from tiltcal.files.moments import moment_after
+from tiltcal.journal.header import THERMOMETER, thermometer_of
+from tiltcal.journal.samples import LogColumns, _row
 
 if TYPE_CHECKING:
-    from tiltcal.bench.playback import RecordedSample
-    from tiltcal.bench.setup import Setup
+    pass
 
 SECURE_NS = 1_000_000_000  # time that a row may wait for the disk, ns
-
-
-class LogColumns:
-    """The columns of the log of a bench: ``x``, ``y``, ``temperature`` of one sensor, ``S-7_x`` and so on of several.
-
-    Where the bench has a ``thermometer``, its temperature stands for that of every sensor.
-    """
-
-    def __init__(self, models: Mapping[str, Model], *, thermometer: bool) -> None:
-        self._models, self._thermometer = models, thermometer
-        self.names = ["time"]
-        for serial, model in models.items():
-            beside = ["temperature"] if model.thermometer and not thermometer else []
-            self.names += [column_name(serial, one, alone=len(models) == 1) for one in (*model.channels, *beside)]
-        self.names += ["temperature"] if thermometer else []
-
-    def row(self, moment: datetime, sample: Sample) -> bytes:
-        """Return a sample as a row; a sensor that is not in it leaves its cells empty."""
-        cells = [stamp(moment)]
-        for serial, model in self._models.items():
-            reading = sample.get(serial)
-            cells += [""] * len(model.channels) if reading is None else [f"{value:.10g}" for value in reading.values]
-            if model.thermometer and not self._thermometer:
-                cells.append(_celsius(None if reading is None else reading.temperature))
-        if self._thermometer:
-            cells.append(_celsius(next((reading.temperature for reading in sample.values()), None)))
-        return _row(cells)
-
-
-def _celsius(temperature: float | None) -> str:
-    return "" if temperature is None else f"{temperature:.3f}"
-
-
-def _row(cells: Sequence[str]) -> bytes:
-    return (",".join(cells) + "\n").encode()
-
-
-def write_samples(stream: BinaryIO, setup: Setup, samples: Iterable[RecordedSample]) -> None:
-    """Write the samples of a session as the rows of a log; a sensor that was given up leaves its cells empty."""
-    models = {device.serial: device.wired for device in setup.sensors}
-    columns = LogColumns(models, thermometer=setup.thermometer is not None)
-    stream.write(_row(columns.names))
-    for sample in samples:
-        stream.write(columns.row(moment_after(setup.began, sample.now_ns), sample.readings))
 
 
 class Recording:

@@ -15,7 +15,6 @@ from dataclasses import replace
 import numpy as np
 
 from tiltcal.bench.devices import RECOVERY
-from tiltcal.bench.journal import unused
 from tiltcal.bench.messages import Held, Matched, Poll, Resumed, RotationQuestion, StagePair, Turn
 from tiltcal.bench.session import Session
 from tiltcal.core.model import Array
@@ -31,8 +30,9 @@ from tiltcal.core.pair.model import FEWEST_TURNS
 from tiltcal.core.pair.online import TurnStream
 from tiltcal.core.pair.stage import STANDSTILL
 from tiltcal.errors import EstimateError, SensorError
-from tiltcal.files.journal import POSITION
 from tiltcal.files.procedure import Rotation
+from tiltcal.journal.calibrations import unused
+from tiltcal.journal.lines import POSITION
 
 BLOCK_NS = 200_000_000  # time over which samples are collected before they are judged and the operator is polled
 LARGEST_BLOCK = 16  # samples: fewer than a turn has, so that every turn is reported

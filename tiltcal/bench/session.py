@@ -14,19 +14,10 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-from tiltcal.bench.checks import (
-    Expectations,
-    PositionResult,
-    at_rail,
-    far_off,
-    require_few,
-    require_no_turns,
-    result_of,
-)
+from tiltcal.bench.checks import Expectations, far_off, require_few, require_no_turns
 from tiltcal.bench.conversation import Conversation
-from tiltcal.bench.devices import RECOVERY, Recorder, Sample, SensorSet, VirtualBench, connected, probe_devices
+from tiltcal.bench.devices import RECOVERY, Recorder, SensorSet, VirtualBench, connected, probe_devices
 from tiltcal.bench.guidance import SensorGuidance
-from tiltcal.bench.journal import RecordedSession, positions_of
 from tiltcal.bench.messages import (
     Accepted,
     Begin,
@@ -38,17 +29,21 @@ from tiltcal.bench.messages import (
     ShownReading,
     ShownSensor,
 )
-from tiltcal.bench.operators import Operator, as_set
-from tiltcal.bench.playback import RecordedSample
-from tiltcal.bench.reference import require_steady, set_by
+from tiltcal.bench.operators import Operator
+from tiltcal.bench.reference import require_steady
 from tiltcal.bench.settle import NEAR, Timed, Unsettled, Window, movement, wait_until_still
-from tiltcal.bench.setup import SessionFiles, Setup
 from tiltcal.drivers.bus.clock import session_clock
 from tiltcal.errors import SensorError, UsageError
 from tiltcal.files.calibration import CalibrationRecord
-from tiltcal.files.journal import POSITION, RESUMED, Journal, JournalWriter, OperatorAnswer, read_journal
 from tiltcal.files.moments import moment_after, stamp
 from tiltcal.files.procedure import FreePositions, Position, Ramp
+from tiltcal.journal.header import Setup
+from tiltcal.journal.lines import POSITION, RESUMED, Journal, JournalWriter, OperatorAnswer, read_journal
+from tiltcal.journal.outputs import SessionFiles
+from tiltcal.journal.playback import RecordedSample, Sample
+from tiltcal.journal.positions import PositionResult, as_set, at_rail, result_of
+from tiltcal.journal.reference import set_by
+from tiltcal.journal.session import RecordedSession, positions_of
 from tiltcal.printable import in_minutes
 
 NUDGED = 0.002  # a change while sampling above this is a sensor that was touched, g (0.1° near level)

@@ -8,11 +8,12 @@ from dataclasses import dataclass
 from itertools import islice
 from operator import mul
 
-from tiltcal.bench.devices import Sample, SensorSet
+from tiltcal.bench.devices import SensorSet
 from tiltcal.core.detection import is_still
 from tiltcal.core.samples import drift
 from tiltcal.drivers.bus.clock import Clock
 from tiltcal.drivers.model import Model
+from tiltcal.journal.playback import Sample
 
 LOOKS, SOAK_LOOKS = 40, 200  # readings in one window: to see a movement, and to show that a slow drift is not there
 FEWEST_SAMPLES = 5  # readings without which nothing can be said of a window

@@ -12,7 +12,6 @@ from typing import Any
 import click
 import numpy as np
 
-from tiltcal.bench.journal import calibrations_of, interrupted
 from tiltcal.calibration.comparison import compare_records
 from tiltcal.calibration.measurement import remarks_on_wiring
 from tiltcal.calibration.record import record_in
@@ -23,11 +22,12 @@ from tiltcal.core.model import Array
 from tiltcal.errors import NEGATIVE_VERDICT, EstimateError, InputError, JournalError, TiltcalError, UsageError
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.document import Document, read_document
-from tiltcal.files.journal import read_journal
 from tiltcal.files.json_schema import json_schema
 from tiltcal.files.pair import PairRecord
 from tiltcal.files.record import KINDS
 from tiltcal.files.yaml_text import Place, dotted, parse
+from tiltcal.journal.calibrations import calibrations_of, interrupted
+from tiltcal.journal.lines import read_journal
 
 _NAMED = 5  # keys of a file that a finding names
 _ROUNDING = 0.01  # share of an uncertainty by which versions may differ; two digits of it are written

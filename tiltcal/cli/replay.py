@@ -9,15 +9,16 @@ from pathlib import Path
 
 import click
 
-from tiltcal.bench.journal import calibrations_of, interrupted
-from tiltcal.bench.playback import Playback, RecordedSample
-from tiltcal.bench.record import write_samples
-from tiltcal.bench.setup import SessionFiles, Setup
 from tiltcal.cli import options
 from tiltcal.cli.talk import remark
 from tiltcal.errors import NEGATIVE_VERDICT, UsageError, WrongPositions
 from tiltcal.files.atomic import require_apart, whole_file
-from tiltcal.files.journal import read_journal
+from tiltcal.journal.calibrations import calibrations_of, interrupted
+from tiltcal.journal.header import Setup
+from tiltcal.journal.lines import read_journal
+from tiltcal.journal.outputs import SessionFiles
+from tiltcal.journal.playback import Playback, RecordedSample
+from tiltcal.journal.samples import write_samples
 
 
 @options.command(epilog="Example: tiltcal replay S-0042.journal.jsonl --golden S-0042.yaml")

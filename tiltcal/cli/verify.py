@@ -13,7 +13,7 @@ from tiltcal.bench.measure import led_by
 from tiltcal.bench.messages import Done, Results
 from tiltcal.bench.options import MeasureOptions
 from tiltcal.bench.session import Session
-from tiltcal.bench.setup import Setup, free_journal, single
+from tiltcal.bench.setup import free_journal, new_setup, single
 from tiltcal.calibration.verification import LIMIT, PASSED
 from tiltcal.cli import options
 from tiltcal.cli.talk import remark
@@ -66,7 +66,7 @@ def command(
         sensor, device = judged.sensor, judged.device
         bench = single(sensor.model, sensor.serial, stated["address"], stated["jig"], device)
         steps = find_procedure(procedure, stated["tilt"]).in_positions().verifying()
-        setup = Setup.begin(
+        setup = new_setup(
             steps,
             bench,
             [None],

@@ -5,21 +5,21 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from tiltcal.bench.journal import positions_of
 from tiltcal.bench.live import live_tilts
 from tiltcal.bench.measure import run_session
 from tiltcal.bench.messages import Afterwards as Question
 from tiltcal.bench.messages import Live, Refused, Report, Results
 from tiltcal.bench.operators import LOOK, Operator
 from tiltcal.bench.session import Session
-from tiltcal.bench.setup import Setup, free_journal
+from tiltcal.bench.setup import free_journal, new_setup
 from tiltcal.calibration.record import tilt_lines, tilt_uncertainty
 from tiltcal.calibration.verification import LIMIT, Verification, verify
 from tiltcal.errors import HardwareError, TiltcalError
 from tiltcal.files.bench import BenchFile, BenchSensor, BenchThermometer
 from tiltcal.files.calibration import CalibrationRecord
-from tiltcal.files.journal import read_journal
 from tiltcal.files.procedure import find_procedure
+from tiltcal.journal.lines import read_journal
+from tiltcal.journal.session import positions_of
 from tiltcal.library.calibration import Calibration, PairCalibration
 
 
@@ -106,7 +106,7 @@ class Afterwards:
         file = self._session.files.outputs[sensors[0].serial]
         journal = free_journal(file.with_name(f"{file.stem}.verify.yaml"), self._remark)
         bench, outputs = BenchFile(sensors, thermometer=named, jig=jig), [None] * len(sensors)
-        verifying = Setup.begin(
+        verifying = new_setup(
             find_procedure("verify").in_positions().verifying(), bench, outputs, journal, operator="web"
         )
         session = Session(verifying, journal)

@@ -10,13 +10,12 @@ from pathlib import Path
 from shlex import quote
 from typing import Any, Unpack, cast
 
-from tiltcal.bench.journal import SessionResult
 from tiltcal.bench.measure import led_by, run_session
 from tiltcal.bench.messages import Done
 from tiltcal.bench.options import MeasureOptions, PlanOptions, unheard
-from tiltcal.bench.reference import reference_of, uncertainty_with
+from tiltcal.bench.reference import reference_of
 from tiltcal.bench.session import Session
-from tiltcal.bench.setup import Setup, free_journal, known_bench, require_trusted, single, stage_channels
+from tiltcal.bench.setup import free_journal, known_bench, new_setup, require_trusted, single
 from tiltcal.calibration.complete import NO_LEVEL
 from tiltcal.calibration.measurement import BenchUncertainty, require_suitable, unchecked
 from tiltcal.calibration.prediction import Plan, predict
@@ -31,8 +30,11 @@ from tiltcal.files.bench import BenchFile
 from tiltcal.files.calibration import CalibrationRecord, read_calibration
 from tiltcal.files.device import model_named
 from tiltcal.files.document import read_document
-from tiltcal.files.journal import read_journal
 from tiltcal.files.procedure import LevelCompletion, Procedure, Rotation, find_procedure
+from tiltcal.journal.calibrations import SessionResult
+from tiltcal.journal.header import Setup, stage_channels
+from tiltcal.journal.lines import read_journal
+from tiltcal.journal.reference import uncertainty_with
 from tiltcal.library.calibration import Calibration, PairCalibration
 from tiltcal.options import complete, flag_of, options_of, takes
 from tiltcal.stated_arguments import of_python, require_name
@@ -232,7 +234,7 @@ def _begun(procedure: str | Path | None, given: MeasureOptions) -> Session:
     path = given["resume"] or given["journal"]
     path = free_journal(beside, remark) if path is None else Path(path)
     operator = given["operator"] or "terminal"
-    setup = Setup.begin(
+    setup = new_setup(
         steps,
         bench,
         outputs,

@@ -10,12 +10,13 @@ from typing import cast
 import pytest
 
 from tiltcal.bench.devices import SensorSet
-from tiltcal.bench.record import LogColumns, Recording, record
+from tiltcal.bench.record import Recording, record
 from tiltcal.drivers.bus.clock import VirtualClock
 from tiltcal.drivers.model import Reading, Sensor
 from tiltcal.errors import BusError
 from tiltcal.files import atomic
 from tiltcal.files.bench import BenchSensor
+from tiltcal.journal.samples import LogColumns
 
 
 @pytest.mark.parametrize(("written", "rows"), [(None, 2), (2, 1), (0, 1)], ids=["after", "within", "before"])

@@ -7,11 +7,12 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from tiltcal.bench.devices import Sample, SensorSet
+from tiltcal.bench.devices import SensorSet
 from tiltcal.bench.settle import Unsettled, Window, wait_until_still
 from tiltcal.drivers import find_model
 from tiltcal.drivers.bus.clock import VirtualClock
 from tiltcal.drivers.model import Reading
+from tiltcal.journal.playback import Sample
 
 SCA100T = find_model("sca100t-d02")
 SOAK = Window(10.0, temperature_drift=0.3, target=5.5)

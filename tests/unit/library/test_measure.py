@@ -15,12 +15,12 @@ from support import FIXTURES
 import tiltcal
 from tiltcal import Calibration, PairCalibration, measure, open_sensor
 from tiltcal.bench import devices
-from tiltcal.bench.journal import calibrations_of
 from tiltcal.bench.operators import PythonObject
 from tiltcal.cli.main import run
 from tiltcal.drivers.bus.address import Address, parse_address
 from tiltcal.errors import EstimateError, Stopped, UsageError
-from tiltcal.files.journal import read_journal
+from tiltcal.journal.calibrations import calibrations_of
+from tiltcal.journal.lines import read_journal
 
 SENSOR = {"sensor": "sca100t-d02", "address": "sim:?seed=1", "serial": "S-1", "samples": 4, "settle": 0.2}
 

@@ -1,7 +1,6 @@
-"""A calibration as a function of a journal: its accepted positions, fitted.
+"""What a journal holds of its session: the accepted positions, and what a ramp or a rotation has so far.
 
-``measure`` ends here, and so do ``replay`` and ``--resume``, so they agree by construction. Nothing of the settling is
-judged a second time: an accepted position names the lines of its samples.
+Nothing of the settling is judged a second time: an accepted position names the lines of its samples.
 """
 
 from __future__ import annotations
@@ -9,46 +8,25 @@ from __future__ import annotations
 from array import array
 from collections import Counter, deque
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import nan
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tiltcal.bench.checks import PositionResult, ReadingSpans, at_rail, result_of
-from tiltcal.bench.devices import BenchDevice
-from tiltcal.bench.operators import as_set
-from tiltcal.bench.playback import Playback, RecordedSample
-from tiltcal.bench.reference import compared, set_by, uncertainty_with
-from tiltcal.bench.setup import Setup
 from tiltcal.core.model import Array
 from tiltcal.core.samples import ReadingStep
 from tiltcal.errors import InputError, JournalError
-from tiltcal.files.calibration import CalibrationRecord, SensorIdentity, dump_calibration
-from tiltcal.files.journal import (
-    ANSWER,
-    POSITION,
-    RESUMED,
-    AcceptedPosition,
-    Event,
-    Journal,
-    OperatorAnswer,
-)
 from tiltcal.files.moments import moment_after, stamp
 from tiltcal.files.procedure import Position, Ramp, Rotation
-from tiltcal.files.results import (
-    VIRTUAL,
-    BenchRecord,
-    BenchSensorRecord,
-    FileRecord,
-    PairProvenance,
-    Provenance,
-    SamplesRecord,
-)
+from tiltcal.journal.header import BenchDevice
+from tiltcal.journal.lines import ANSWER, POSITION, RESUMED, AcceptedPosition, Event, Journal, OperatorAnswer
+from tiltcal.journal.playback import Playback, RecordedSample
+from tiltcal.journal.positions import PositionResult, ReadingSpans, as_set, at_rail, result_of
+from tiltcal.journal.reference import set_by
 
 if TYPE_CHECKING:
     from tiltcal.core.ramp.record import RampRecord
-    from tiltcal.files.pair import PairRecord
 
 BySerial = Mapping[str, Mapping[str, Any]]
 DIGITS = 1e-9  # part of its size by which a mean may differ from the one that was accepted
@@ -282,173 +260,9 @@ class RecordedSession:
         return JournalError(message, file=self.journal.path, line=event.line)
 
 
-@dataclass(frozen=True)
-class SessionResult:
-    """The result of a session: by serial number its calibrations, one of all pairs of a stage by its first device.
-
-    ``lost`` says why sensors were given up, ``link_statistics`` what became of the data of those that send by
-    themselves.
-    """
-
-    calibrations: dict[str, CalibrationRecord | PairRecord]
-    lost: dict[str, str]
-    link_statistics: Mapping[str, Mapping[str, int]]
-
-    def texts(self) -> dict[str, str]:
-        """Return the texts of the calibration files by serial number."""
-        return {serial: _text(record) for serial, record in self.calibrations.items()}
-
-
-def _text(record: CalibrationRecord | PairRecord) -> str:
-    if isinstance(record, CalibrationRecord):
-        return dump_calibration(record)
-    from tiltcal.files.pair import dump_pair
-
-    return dump_pair(record)
-
-
 def positions_of(journal: Journal) -> RecordedSession:
     """Return what a journal holds of its session: the accepted positions, and what a ramp or a rotation has so far.
 
     JournalError: a driver sends another request than the recorded one, or a position does not give its means.
     """
     return RecordedSession(journal)
-
-
-def calibrations_of(journal: Journal) -> SessionResult:
-    """Return the calibrations that a journal gives, be its session about to end; none of a verification.
-
-    JournalError: as :func:`positions_of`, or the session is not complete.
-    EstimateError: the positions cannot determine the coefficients.
-    """
-    session = positions_of(journal)
-    setup = session.setup
-    if not session.complete:
-        raise interrupted(journal)
-    statistics = session.playback.link_statistics()
-    provenance = {
-        "made_by": VIRTUAL if setup.simulated else "measurement",
-        "operator": setup.person or setup.operator,
-        "software": setup.software,
-        "started": stamp(setup.began),
-        "ended": stamp(moment_after(setup.began, session.playback.now_ns)),
-        "journal": FileRecord(name=setup.journal, sha256=journal.sha256),
-        "references": setup.references,
-    }
-    calibrations: dict[str, CalibrationRecord | PairRecord] = {}
-    if isinstance(setup.steps, Rotation):
-        calibrations[setup.sensors[0].serial] = _pair_calibration(session, provenance, statistics)
-    elif not setup.verifies:
-        calibrations |= _tilt_calibrations(session, provenance, statistics)
-    return SessionResult(calibrations, session.lost, statistics)
-
-
-def interrupted(journal: Journal) -> JournalError:
-    """Return the error of a journal without its end, which says how to go on."""
-    command = Setup.of(journal).resume_command(journal.path)
-    why = f"the session was interrupted; continue it with: {command}"
-    return JournalError(why, file=journal.path, line=len(journal.events) + 2)
-
-
-def fitted(session: RecordedSession) -> list[CalibrationRecord]:
-    """Return the calibration of each sensor that was not given up, without its provenance.
-
-    EstimateError: the positions cannot determine the coefficients; WrongPositions where some contradict the others.
-    """
-    from tiltcal.calibration.calibrate import calibrate
-    from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor
-
-    setup, settings, accepted, ramps = session.setup, session.setup.settings, session.results(), session.ramp_records()
-    # The steps of the sensors' own thermometers count where those are the only ones.
-    own_thermometers = setup.thermometer is None and not any(result.typed for result in accepted)
-    return calibrate(
-        [
-            MeasuredSensor(
-                SensorIdentity(sensor.model, sensor.serial, sensor.wired.unit, sensor.wired.channels),
-                [result.measurements[sensor.serial] for result in accepted],
-                sensor.wired,
-                sensor.orientation.matrix,
-                sensor.wired.thermometer_rounding if own_thermometers else None,
-                base.calibration if (base := setup.bases.get(sensor.serial)) else None,
-                ramps.get(sensor.serial),
-            )
-            for sensor in session.at_work
-        ],
-        setup.steps.in_positions(),
-        uncertainty_with(
-            setup.reference, BenchUncertainty(settings.jig, settings.thermometer, settings.table_lean, settings.heading)
-        ),
-        typical_temperature=setup.typical_temperature,
-        settings={"samples": settings.samples, "settle_seconds": settings.settle},
-    )
-
-
-def _tilt_calibrations(
-    session: RecordedSession, provenance: Mapping[str, Any], statistics: Mapping[str, dict[str, int]]
-) -> dict[str, CalibrationRecord]:
-    """Return the calibration of each sensor that was not given up, by its serial number."""
-    from tiltcal.calibration.wording import quiet_note
-
-    setup, records, calibrations = session.setup, fitted(session), {}
-    quiet = session.spans.quiet_channels(setup.steps.positions)
-    for sensor, record in zip(session.at_work, records, strict=True):
-        notes = [
-            *compared(setup.reference),
-            *setup.overdue(),
-            *(quiet_note(channel, n) for channel, n in quiet[sensor.serial].items()),
-        ]
-        bench = BenchRecord(
-            address=sensor.address,
-            axes=() if sensor.orientation.straight else tuple(sensor.orientation.names),
-            thermometer=None if setup.thermometer is None else setup.thermometer.address,
-            device=sensor.device,
-            reference=None if setup.reference is None else setup.reference.address,
-        )
-        base = setup.bases.get(sensor.serial)
-        calibrations[sensor.serial] = replace(
-            record,
-            fit=record.fit.replaced(notes=(*record.fit.notes, *notes)),
-            provenance=Provenance(
-                **provenance,
-                bench=bench,
-                base=None if base is None else base.origin,
-                link_statistics=statistics.get(sensor.serial),
-            ),
-        )
-    return calibrations
-
-
-def _pair_calibration(
-    session: RecordedSession, provenance: Mapping[str, Any], statistics: Mapping[str, dict[str, int]]
-) -> PairRecord:
-    """Return the pairs that a journal gives."""
-    from tiltcal.core.pair.matching import rotation_of
-    from tiltcal.files.pair import PairRecord, SpinRecord
-
-    setup = session.setup
-    channels = setup.stage_channels()
-    rotation = rotation_of(channels.columns, session.rotation_rows())
-    matchings, unmatched = rotation.matched(channels.pairs)
-    sensors = tuple(
-        BenchSensorRecord(serial=sensor.serial, model=sensor.model, address=sensor.address) for sensor in setup.sensors
-    )
-    return PairRecord(
-        spin=SpinRecord(turns=rotation.turns, frequency=rotation.frequency, phase=channels.phase),
-        matchings=matchings,
-        provenance=PairProvenance(
-            **provenance,
-            bench=BenchRecord(sensors=sensors),
-            link_statistics=statistics,
-            procedure=setup.steps.name,
-            samples=SamplesRecord(
-                used=rotation.samples, left_out=rotation.left_out + sum(map(unused, statistics.values()))
-            ),
-            stopped=None if session.turned is None else session.turned.ended,
-            not_matched=(*channels.left_out, *unmatched),
-        ),
-    )
-
-
-def unused(link_statistics: Mapping[str, int]) -> int:
-    """Return the count of data that were not used: all counts but the first."""
-    return sum(list(link_statistics.values())[1:])

@@ -13,7 +13,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from tiltcal.errors import JournalError, UsageError
-from tiltcal.files.journal import Event, JournalWriter, read_journal
+from tiltcal.journal.lines import Event, JournalWriter, read_journal
 
 EVENTS = [
     (48000, "s", "100000", "008f20"),

@@ -6,21 +6,20 @@ they follow without a transaction.
 
 Between the answer ``ready`` and the acceptance stand the transactions of settling and of sampling, without a mark; the
 accepted position names the line at which its samples begin.
-:mod:`tiltcal.files.journal` shows the lines.
+:mod:`tiltcal.journal.lines` shows the lines.
 """
 
 from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-from tiltcal.bench.devices import OF_THE_BENCH, Sample, at_one_temperature, named_error
-from tiltcal.bench.setup import Setup
 from tiltcal.drivers.bus.clock import VirtualClock
 from tiltcal.drivers.model import Reading
-from tiltcal.errors import BusError, HardwareError, JournalError
-from tiltcal.files.journal import (
+from tiltcal.errors import BusError, HardwareError, JournalError, SensorError
+from tiltcal.journal.header import OF_THE_BENCH, Setup
+from tiltcal.journal.lines import (
     ANSWER,
     HARDWARE_ERROR,
     POSITION,
@@ -218,3 +217,25 @@ class Playback:
 
     def _error(self, message: str, event: Event) -> JournalError:
         return JournalError(message, file=self._journal.path, line=event.line)
+
+
+class Sample(dict[str, Reading]):
+    """One reading of each sensor of a bench, by serial number, and that of a reference on the plate, where one is."""
+
+    reference: Reading | None = None
+
+
+def at_one_temperature(readings: dict[str, Reading]) -> Sample:
+    """Return readings by serial number with the temperature of the bench's thermometer, where it is among them."""
+    thermometer, reference = (readings.pop(name, None) for name in OF_THE_BENCH)
+    if thermometer is not None:
+        readings = {serial: replace(one, temperature=thermometer.temperature) for serial, one in readings.items()}
+    sample = Sample(readings)
+    sample.reference = reference
+    return sample
+
+
+def named_error(name: str, error: HardwareError, *, alone: bool) -> SensorError:
+    """Return an error with the name of its device, unless that is the only sensor."""
+    where = () if alone and name not in OF_THE_BENCH else (f"{name.strip('()')}: ",)
+    return SensorError(name, (*where, *error.words))

@@ -12,10 +12,10 @@ from typing import Any
 import pytest
 from support import FIXTURES
 
-from tiltcal.bench.journal import calibrations_of
-from tiltcal.bench.setup import Setup
 from tiltcal.errors import JournalError, TiltcalError
-from tiltcal.files.journal import read_journal
+from tiltcal.journal.calibrations import calibrations_of
+from tiltcal.journal.header import Setup
+from tiltcal.journal.lines import read_journal
 
 WRONG: list[Any] = [None, True, -1, 10**18, 1.5, "x", "zz", "", [], ["x"], {}, {"to": 3}, [[]]]
 
