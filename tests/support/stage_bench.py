@@ -9,7 +9,17 @@ from typing import Any
 
 from tiltcal.bench import devices
 from tiltcal.bench.measure import run_session
-from tiltcal.bench.messages import Event, Held, Matched, Poll, Question, Refused, Resumed, Turn, Write
+from tiltcal.bench.messages import (
+    Held,
+    Matched,
+    Poll,
+    Question,
+    Refused,
+    Resumed,
+    SessionEvent,
+    TurnMade,
+    WriteQuestion,
+)
 from tiltcal.bench.operators import Operator
 from tiltcal.bench.session import Session
 from tiltcal.bench.setup import new_setup, single
@@ -58,7 +68,7 @@ class Attendant(Operator):
     """Says ready, and stop where it is told to; keeps what it hears."""
 
     def __init__(self, *, stop_after: Sequence[int] = (), readies: int = 1) -> None:
-        self.turns: list[Turn] = []
+        self.turns: list[TurnMade] = []
         self.told: list[str] = []
         self.accepted: Matched | None = None
         self._stop_after = list(stop_after)
@@ -72,16 +82,16 @@ class Attendant(Operator):
                 self._stop_after.pop(0)
                 return {"answer": "stop"}
             return None
-        if isinstance(question, Write):
+        if isinstance(question, WriteQuestion):
             return {"answer": "yes"}
         if not self._readies:
             raise Stopped("enough")
         self._readies -= 1
         return {"answer": "ready"}
 
-    def tell(self, event: Event) -> None:
+    def tell(self, event: SessionEvent) -> None:
         match event:
-            case Turn():
+            case TurnMade():
                 self.turns.append(event)
             case Held():
                 self.told.append(event.why)

@@ -8,7 +8,6 @@ from tiltcal.bench.devices import Recorder, SensorSet
 from tiltcal.bench.guidance import SensorGuidance
 from tiltcal.bench.messages import (
     Accepted,
-    Event,
     Look,
     Matched,
     Poll,
@@ -16,9 +15,10 @@ from tiltcal.bench.messages import (
     Question,
     Refused,
     Review,
+    SessionEvent,
     Settling,
     ShownReading,
-    Turn,
+    TurnMade,
     Waiting,
 )  # fmt: skip
 from tiltcal.bench.operators import LOOK, Operator, understood
@@ -103,10 +103,10 @@ class Conversation:
         choosable = self._recorded.choosable
         return next((position for position in choosable if position.name == self._chosen), choosable[0])
 
-    def tell(self, event: Event) -> None:
+    def tell(self, event: SessionEvent) -> None:
         """Tell the operator what has happened."""
         self._operator.tell(event)
-        if isinstance(event, Accepted | Matched | Turn):
+        if isinstance(event, Accepted | Matched | TurnMade):
             self._attempts = ("", 0)
 
     def refuse(self, position: str, why: str) -> None:

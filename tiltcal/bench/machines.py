@@ -14,7 +14,17 @@ from math import asin, atan2, cos, degrees, hypot, radians, sin
 from typing import Any
 
 from tiltcal.bench.drives import Angles, Drive
-from tiltcal.bench.messages import Accepted, Event, Look, Moved, PositionQuestion, Question, Refused, Review, Waiting
+from tiltcal.bench.messages import (
+    Accepted,
+    Look,
+    Moved,
+    PositionQuestion,
+    Question,
+    Refused,
+    Review,
+    SessionEvent,
+    Waiting,
+)
 from tiltcal.bench.operators import Operator
 from tiltcal.core.attitude import Vector
 from tiltcal.drivers.bus.clock import Clock
@@ -241,7 +251,7 @@ class Machines:
             self._by_hand = None
         return said
 
-    def tell(self, event: Event) -> None:
+    def tell(self, event: SessionEvent) -> None:
         """Pass an event on; what was set by hand and is refused is asked for again."""
         self._person.tell(event)
         if isinstance(event, Accepted):

@@ -9,7 +9,7 @@ from functools import partial
 
 from tiltcal.bench.devices import RECOVERY
 from tiltcal.bench.judgement import Judgement
-from tiltcal.bench.messages import Lost, Write
+from tiltcal.bench.messages import Lost, WriteQuestion
 from tiltcal.bench.operators import NAMED, Operator, Program, PythonObject, VirtualJig
 from tiltcal.bench.options import MeasureOptions
 from tiltcal.bench.session import Session
@@ -166,7 +166,7 @@ def _measured(session: Session, judgement: Judgement) -> bool:
         return not session.recorded.open
     outputs = [session.files.outputs.get(sensor.serial) for sensor in session.sensors.sensors]
     files = [str(output) for output in outputs if output is not None]
-    return session.talk.ask(Write(files)).answer == "yes"
+    return session.talk.ask(WriteQuestion(files)).answer == "yes"
 
 
 def _refuse(session: Session, position: str, error: Exception) -> None:

@@ -151,7 +151,7 @@ class Review(Question, tag="review"):
     readings: Readings
 
 
-class Write(Question, tag="write"):
+class WriteQuestion(Question, tag="write"):
     """Whether the files are to be written."""
 
     words: ClassVar[tuple[str, ...]] = ("yes", "back", "again", "quit")
@@ -170,7 +170,7 @@ class StopAndKeep(Question, tag="stop"):
     why: str
 
 
-class Afterwards(Question, tag="afterwards"):
+class AfterwardsQuestion(Question, tag="afterwards"):
     """What follows at the page, where everything is written."""
 
     words: ClassVar[tuple[str, ...]] = ("verify", "report", "finish")
@@ -179,13 +179,13 @@ class Afterwards(Question, tag="afterwards"):
     prompt: str
 
 
-class Event(Message, tag_field="event"):
+class SessionEvent(Message, tag_field="event"):
     """What has happened; ``heard`` is whether a program gets it."""
 
     heard: ClassVar[bool] = False
 
 
-class Heard(Event):
+class Heard(SessionEvent):
     """An event that a program gets as well."""
 
     heard: ClassVar[bool] = True
@@ -202,7 +202,7 @@ class ShownSensor(Struct, frozen=True):
     sensitivity: float
 
 
-class Begin(Event, kw_only=True, tag="begin"):
+class Begin(SessionEvent, kw_only=True, tag="begin"):
     """A session begins, or goes on."""
 
     title: str
@@ -215,7 +215,7 @@ class Begin(Event, kw_only=True, tag="begin"):
     free: bool = False  # whether nobody sets the attitudes
 
 
-class Progress(Event, tag="progress"):
+class Progress(SessionEvent, tag="progress"):
     """What is accepted, what comes next, and in words how long the rest takes."""
 
     position: str
@@ -223,7 +223,7 @@ class Progress(Event, tag="progress"):
     left: str
 
 
-class Look(Event, tag="look"):
+class Look(SessionEvent, tag="look"):
     """Readings to be seen; why it waits, the seconds that it does at least, or the samples taken and wanted."""
 
     position: str
@@ -233,7 +233,7 @@ class Look(Event, tag="look"):
     samples: tuple[int, int] | None = None
 
 
-class Moved(Event, tag="moved"):
+class Moved(SessionEvent, tag="moved"):
     """Machines have reached a position."""
 
     position: str
@@ -295,7 +295,7 @@ class Matched(Heard, tag="accepted"):
     suppression: Mapping[str, Mapping[str, float]]
 
 
-class Turn(Heard, tag="turn"):
+class TurnMade(Heard, tag="turn"):
     """The stage has made a turn: the coefficients of each pair so far, and why others are unknown."""
 
     turn: int
@@ -339,19 +339,19 @@ class Done(Heard, tag="done"):
     journal: str
 
 
-class Results(Event, tag="results"):
+class Results(SessionEvent, tag="results"):
     """What the page shows of each calibration that was written."""
 
     results: Sequence[Mapping[str, object]]
 
 
-class Live(Event, tag="live"):
+class Live(SessionEvent, tag="live"):
     """The calibrated tilts: name, value and half-width of each, by serial number."""
 
     tilts: Mapping[str, Sequence[tuple[str, str, str]]]
 
 
-class Report(Event, tag="report"):
+class Report(SessionEvent, tag="report"):
     """A report was written."""
 
     sensor: str

@@ -18,7 +18,6 @@ from tiltcal.bench.messages import (
     Accepted,
     Begin,
     Done,
-    Event,
     Held,
     Lost,
     Matched,
@@ -30,8 +29,9 @@ from tiltcal.bench.messages import (
     Refused,
     Resumed,
     RotationQuestion,
+    SessionEvent,
     Settling,
-    Turn,
+    TurnMade,
 )
 from tiltcal.bench.typed import with_numbers
 from tiltcal.core.detection import TEMPERATURES
@@ -63,7 +63,7 @@ class Operator(Protocol):
         """Return the answer to a question; Stopped where the operator quits."""
         ...
 
-    def tell(self, event: Event) -> None:
+    def tell(self, event: SessionEvent) -> None:
         """Take an event; Stopped where the operator gives up."""
         ...
 
@@ -160,7 +160,7 @@ class VirtualJig(Operator):
             self._say(f"{len(question.pairs)} pairs, up to {question.turns} turns of the virtual stage")
         return usual(question)
 
-    def tell(self, event: Event) -> None:
+    def tell(self, event: SessionEvent) -> None:
         """Print what a person would like to read afterwards."""
         match event:
             case Begin():
@@ -212,7 +212,7 @@ class Program(Operator):
         self._send(question)
         return self._next()
 
-    def tell(self, event: Event) -> None:
+    def tell(self, event: SessionEvent) -> None:
         """Send an event, unless it is for a person's eyes."""
         if event.heard:
             self._send(event)
@@ -262,7 +262,7 @@ class PythonObject(Operator):
             return getattr(self._rig, question.kind)(question.as_data())
         return usual(question)
 
-    def tell(self, event: Event) -> None:
+    def tell(self, event: SessionEvent) -> None:
         """Call the method of an event that a program gets, where the object has it."""
         if event.heard and hasattr(self._rig, event.kind):
             getattr(self._rig, event.kind)(event.as_data())
@@ -288,7 +288,7 @@ def parsed(line: str) -> object:
         ) from None
 
 
-def in_words(event: Event) -> list[str]:
+def in_words(event: SessionEvent) -> list[str]:
     """Return what has happened as lines for a person."""
     match event:
         case Matched():
@@ -299,7 +299,7 @@ def in_words(event: Event) -> list[str]:
             return [f"  refused: {event.why}"]
         case Lost():
             return [f"  {event.sensor} is dropped, the others continue: {event.why}"]
-        case Turn():
+        case TurnMade():
             parts = [f"  turn {event.turn} of {event.of}", *_pairs_in_words(event)]
             parts += [f"{name}: {why}" for name, why in event.unknown.items()]
             parts += [f"{event.left_out} samples left out"] if event.left_out else []
@@ -315,6 +315,6 @@ def in_words(event: Event) -> list[str]:
     return []
 
 
-def _pairs_in_words(event: Matched | Turn) -> list[str]:
+def _pairs_in_words(event: Matched | TurnMade) -> list[str]:
     p, q, u_p, u_q = event.p, event.q, event.u_p, event.u_q
     return [f"{name}: p {plus_minus(p[name], u_p[name])}, q {plus_minus(q[name], u_q[name])}" for name in p]

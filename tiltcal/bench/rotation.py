@@ -15,7 +15,7 @@ from dataclasses import replace
 import numpy as np
 
 from tiltcal.bench.devices import RECOVERY
-from tiltcal.bench.messages import Held, Matched, Poll, Resumed, RotationQuestion, StagePair, Turn
+from tiltcal.bench.messages import Held, Matched, Poll, Resumed, RotationQuestion, StagePair, TurnMade
 from tiltcal.bench.session import Session
 from tiltcal.core.model import Array
 from tiltcal.core.pair.matching import (
@@ -202,7 +202,7 @@ class TurningStage:
         self._due = max(self._due, made + made // EACH_OF)
         left_out = self._left_out_before + self._stream.left_out + self._damaged
         coefficients = _coefficients(self._pairs)
-        turn = Turn(turn=made, of=self._rotation.turns, **coefficients, unknown=self._unknown, left_out=left_out)
+        turn = TurnMade(turn=made, of=self._rotation.turns, **coefficients, unknown=self._unknown, left_out=left_out)
         self._session.talk.tell(turn)
         return known
 

@@ -18,7 +18,6 @@ from rich.text import Text
 from tiltcal.bench.guidance import COLUMNS, UNCALIBRATED, SensorGuidance, note_on
 from tiltcal.bench.messages import (
     Begin,
-    Event,
     Look,
     PositionQuestion,
     Progress,
@@ -26,10 +25,11 @@ from tiltcal.bench.messages import (
     Refused,
     Review,
     RotationQuestion,
+    SessionEvent,
     ShownSensor,
     StopAndKeep,
-    Turn,
-    Write,
+    TurnMade,
+    WriteQuestion,
     rows_of,
 )  # fmt: skip
 from tiltcal.bench.operators import LOOK, LineReader, Operator, in_words
@@ -208,13 +208,13 @@ class Terminal(Operator):
                 return self._rotation(question)
             case Review():
                 return self._review(question)
-            case Write():
+            case WriteQuestion():
                 return self._write(question)
             case StopAndKeep():
                 return self._stop(question)
         return self._poll()
 
-    def tell(self, event: Event) -> None:
+    def tell(self, event: SessionEvent) -> None:
         """Show an event."""
         if isinstance(event, Refused):
             self._ring()
@@ -228,7 +228,7 @@ class Terminal(Operator):
                 self._remaining = event.left
             case Look() if self._live:
                 self._show(event)
-            case Turn() if self._live:
+            case TurnMade() if self._live:
                 self._overwrite([in_words(event)[0].strip()])
             case _:
                 for line in in_words(event):
@@ -311,7 +311,7 @@ class Terminal(Operator):
         self._hint("Enter accept", "r redo", "b back", "p another position", "q stop and keep")
         return self._answered({ENTER: "accept", "r": "redo", "b": "back"})
 
-    def _write(self, question: Write) -> object:
+    def _write(self, question: WriteQuestion) -> object:
         """Ask once more before the files are written."""
         files = question.files
         named = ", ".join(f"{path} (replaces the one there)" if os.path.exists(path) else path for path in files)

@@ -16,10 +16,9 @@ from typing import TYPE_CHECKING, Any
 from tiltcal.bench.guidance import COLUMNS, UNCALIBRATED, level_sides, note_on, whether_all
 from tiltcal.bench.messages import (
     Accepted,
-    Afterwards,
+    AfterwardsQuestion,
     Begin,
     Done,
-    Event,
     Live,
     Look,
     Poll,
@@ -32,8 +31,9 @@ from tiltcal.bench.messages import (
     Results,
     Review,
     RotationQuestion,
+    SessionEvent,
     StopAndKeep,
-    Write,
+    WriteQuestion,
     rows_of,
 )  # fmt: skip
 from tiltcal.bench.operators import LOOK, Operator, in_words
@@ -146,7 +146,7 @@ class WebOperator(Operator):
             answer = self._state.withdraw() or {"answer": free}
         elif isinstance(question, Poll):
             answer = self._state.wait(0.0)
-        elif isinstance(question, PositionQuestion | Afterwards):
+        elif isinstance(question, PositionQuestion | AfterwardsQuestion):
             answer = self._state.wait(0.0 if begins else LIVE_PAUSE)
         else:
             while (answer := self._state.wait(PATIENCE)) is None:
@@ -160,11 +160,11 @@ class WebOperator(Operator):
         if answer.get("answer") in ("redo", "back"):
             self._before = {}
         if answer.get("answer") == "quit":
-            declined = isinstance(question, Write)
+            declined = isinstance(question, WriteQuestion)
             raise Stopped("not written: the operator declined" if declined else "stopped by the operator")
         return answer
 
-    def tell(self, event: Event) -> None:
+    def tell(self, event: SessionEvent) -> None:
         """Show an event, and list it where it has words."""
         match event:
             case Begin():
@@ -224,8 +224,10 @@ class WebOperator(Operator):
                 fields |= {"step": f"up to {question.turns} turns", "conditions": pairs, "prompt": question.prompt}
             case StopAndKeep():
                 fields |= {"accepted": positions, "step": "stop and keep", "prompt": question.why, "doing": ""}
-            case Write() | Afterwards():
-                prompt = f"Write {', '.join(question.files)}?" if isinstance(question, Write) else question.prompt
+            case WriteQuestion() | AfterwardsQuestion():
+                prompt = (
+                    f"Write {', '.join(question.files)}?" if isinstance(question, WriteQuestion) else question.prompt
+                )
                 fields |= {"accepted": positions, "step": "everything is measured", "prompt": prompt, "doing": ""}
                 fields |= {"table": None, "guide": None, "remaining": None}
         self._state.show(**fields)

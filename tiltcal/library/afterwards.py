@@ -7,7 +7,7 @@ from pathlib import Path
 
 from tiltcal.bench.live import live_tilts
 from tiltcal.bench.measure import run_session
-from tiltcal.bench.messages import Afterwards as Question
+from tiltcal.bench.messages import AfterwardsQuestion as Question
 from tiltcal.bench.messages import Live, Refused, Report, Results
 from tiltcal.bench.operators import LOOK, Operator
 from tiltcal.bench.session import Session
