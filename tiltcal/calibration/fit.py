@@ -51,7 +51,8 @@ def fit_jointly(
     for sensor, seen, estimated in zip(sensors, observed, estimate_jointly(observed), strict=True):
         wiring = () if seen.design.assumes_sensitivity else judge_channels(sensor, estimated)
         found = with_hysteresis(estimated, seen)
-        found = replace(found, notes=(*found.notes, *_remarks(found, sensor, seen.design), *wiring))
+        notes = (*found.notes, *_remarks(found, sensor, seen.design), *wiring)
+        found = replace(found, notes=notes, not_covered=(*found.not_covered, *_assumed_zero(seen.design)))
         calibrations.append(record_of(found, seen.design, sensor, procedure))
     return calibrations
 
@@ -87,16 +88,17 @@ def record_of(
     )
 
 
+def _assumed_zero(design: Design) -> Iterator[str]:
+    """Yield the coefficients that neither positions nor a data sheet determine, for ``not_covered``."""
+    if not (design.free or design.assumes_sensitivity):
+        yield from (f"sensitivity.{axis}" for axis in AXES if len(design.channels) == 2 and axis not in design.axes)
+        if not design.nonlinearity:
+            yield "nonlinearity"
+
+
 def _remarks(found: Estimate, sensor: MeasuredSensor, design: Design) -> Iterator[str]:
     """Yield what the uncertainty of an estimate includes and what it leaves out."""
     measurements = sensor.measurements
-    if not (design.free or design.assumes_sensitivity):
-        unseen = [axis for axis in AXES if len(design.channels) == 2 and axis not in design.axes]
-        missing = [f"sensitivity to {axis}" for axis in unseen] + ["nonlinearity"] * (not design.nonlinearity)
-        if missing:
-            sheet = "no data sheet is named (--sensor)"
-            sheet = sheet if sensor.nominal is None else f"no data-sheet value for {sensor.nominal.name}"
-            yield f"{' and '.join(missing)} assumed zero: {sheet}"
     if design.jig is None and along_gravity(design.channels, [measurement.gravity for measurement in measurements]):
         yield DRIFT_NOT_SHOWN
     if (found.estimated_jig or 0.0) > LARGEST_AGREEMENT:

@@ -201,7 +201,9 @@ class FitRecord(Record, kw_only=True):
     ] = {}
     notes: Annotated[Names, about("what limits the numbers")] = ()
     priors: Annotated[ByName, about("by the data sheet, of what no position determines; common to all files")] = {}
-    not_covered: Annotated[Names, about("errors that are not in the uncertainty, such as `lean` of the table")] = ()
+    not_covered: Annotated[
+        Names, about("not in the uncertainty: `lean` of the table, `nonlinearity`, `sensitivity.z`")
+    ] = ()
     cross_validation: Annotated[CrossValidation | None, about("of a sweep: the choice of the order")] = None
     hysteresis: Annotated[ByAxis[Hysteresis], about("of a sweep: the largest difference between two visits")] = {}
     ramp: Annotated[RampFitRecord | None, about("of a ramp: the thermal lag, and what each leg says of it")] = None
