@@ -171,6 +171,11 @@ class PositionProcedure(Procedure):
         return not self.axes
 
     @property
+    def known(self) -> Mapping[str, Position]:
+        """The positions whose names state a direction; none where nobody sets them."""
+        return {position.name: position for position in self.positions}
+
+    @property
     def thermal(self) -> bool:
         """Whether it determines temperature terms."""
         return bool(self.drift or self.gain)
@@ -248,6 +253,10 @@ class Verification(PositionProcedure):
 
 class FreePositions(PositionProcedure):
     """Positions that nobody sets."""
+
+    @property
+    def known(self) -> Mapping[str, Position]:
+        return {}
 
     def require_usable(self, **stated: object) -> None:
         if stated.get("jig") is not None:

@@ -150,13 +150,8 @@ def measure(procedure: str | Path | None = None, **options: Unpack[MeasureOption
         dry_run(_begun(procedure, given).setup, result or remark)
         return None
     if resume is not None and os.path.exists(resume):
-        again = {"PROCEDURE": procedure} | {
-            flag_of(name, options_of(MeasureOptions)[name][0]): value
-            for name, value in given.items()
-            if name not in NOT_REPEATED
-        }
         output = None if given["output"] is None else Path(given["output"])
-        session = resumed(Path(resume), output, again, remark, given["python"])
+        session = resumed(Path(resume), output, _stated_again(procedure, given), remark, given["python"])
     else:
         session = _begun(procedure, given)
     operator = given["operator"] or session.setup.operator
@@ -174,6 +169,13 @@ def measure(procedure: str | Path | None = None, **options: Unpack[MeasureOption
             with suppress(KeyboardInterrupt):  # everything is written
                 Afterwards(opened, session, dict(zip(outcome.calibrations, every, strict=False)), remark).show()
     return results
+
+
+def _stated_again(procedure: str | Path | None, given: MeasureOptions) -> dict[str, object]:
+    """Return what is stated beside ``resume`` and changes nothing, by option."""
+    flags = {name: flag_of(name, option) for name, (option, _) in options_of(MeasureOptions).items()}
+    again = {flags[name]: value for name, value in given.items() if name not in NOT_REPEATED}
+    return {"PROCEDURE": procedure, **again}
 
 
 def resumed(

@@ -33,7 +33,7 @@ from tiltcal.errors import Argument, EstimateError, InputError, UsageError
 from tiltcal.files.calibration import UNKNOWN_MODEL, CalibrationRecord, SensorIdentity, read_calibration
 from tiltcal.files.device import model_named
 from tiltcal.files.moments import stamp_of
-from tiltcal.files.procedure import FreePositions, PositionProcedure, Ramp, find_procedure
+from tiltcal.files.procedure import PositionProcedure, Ramp, find_procedure
 from tiltcal.files.record import Record, keys_of
 from tiltcal.files.results import FileRecord, Provenance, SegmentsRecord
 from tiltcal.files.tables import (
@@ -84,10 +84,7 @@ UNSTATED = "1"  # stands for a unit that nothing states yet; it fits all
 
 
 def fit_recorded(
-    procedure: str | Path,
-    data: Any,
-    options: FitOptions,
-    progress: Progress | None = None,
+    procedure: str | Path, data: Any, options: FitOptions, progress: Progress | None = None
 ) -> CalibrationRecord:
     """Calibrate a sensor from recorded data; arguments and errors are those of :func:`tiltcal.fit`."""
     steps = find_procedure(procedure, options["tilt"]).with_alignment(options["alignment"]).in_positions()
@@ -101,20 +98,13 @@ def fit_recorded(
         require_tilt(steps, model)
     serial = _serial(options["serial"], options["base"])
     known = bases_of(steps, options["base"], [serial]).get(serial)
-    own = None if known is None else known.calibration
-    skip, signs = options["skip_bad_rows"], dict[str, float]()
+    own, skip = None if known is None else known.calibration, options["skip_bad_rows"]
     with nullcontext() if table else open_recordings(data, skip_bad_rows=skip, progress=progress) as logs:
-        header = ReadingsHeader()
-        if logs is not None:
-            named, signs = split_signs(options["columns"], logs.logs[0].names)
-            header = readings_header(logs.logs[0], named)
-            options = {**options, "columns": {**header.guessed, **named}}
-            if header.guessed:
-                options["say"](f"{logs.name} has no names: its columns of numbers are taken for x, y and z")
+        header, options, signs = _header_of(logs, options)
         unknown = own is None and model is None
         unit = options["unit"] or (header.unit if unknown else None)
         by_length = unknown and unit is None and not isinstance(steps, Ramp) and not header.units
-        by_length = by_length and (logs is not None or isinstance(steps, FreePositions))
+        by_length = by_length and not (table and steps.known)
         identity = _identity(own, model, steps, UNSTATED if by_length else unit, serial)
         if unknown:
             identity = identity.replaced(channels=_channels(data, None if table else header, steps, options))
@@ -145,16 +135,23 @@ def fit_recorded(
         temperature_step=positions.temperature_step,
     )
     (found,) = calibrate([measured], steps, bench, table=table, gravity=options["gravity"])
-    origin = None if known is None else known.origin
-    notes = [note] if positions.holds is not None and (note := positions.holds.not_credible) else []
-    found = replace(
-        found,
-        provenance=positions.provenance.replaced(base=origin),
-        fit=found.fit.replaced(notes=(*found.fit.notes, *notes)) if notes else found.fit,
-    )
+    found = replace(found, provenance=positions.provenance.replaced(base=None if known is None else known.origin))
+    if positions.holds is not None and (note := positions.holds.not_credible):
+        found = replace(found, fit=found.fit.replaced(notes=(*found.fit.notes, note)))
     if logs is not None and (remark := upside_down_remark(found)) and not signs:
         options["say"](f"note: {remark}")
     return of_raw_readings(found, signs)
+
+
+def _header_of(logs: Recordings | None, options: FitOptions) -> tuple[ReadingsHeader, FitOptions, dict[str, float]]:
+    """Return what the first log says of its readings, the options with its columns, and which of them are reversed."""
+    if logs is None:
+        return ReadingsHeader(), options, {}
+    named, signs = split_signs(options["columns"], logs.logs[0].names)
+    header = readings_header(logs.logs[0], named)
+    if header.guessed:
+        options["say"](f"{logs.name} has no names: its columns of numbers are taken for x, y and z")
+    return header, {**options, "columns": {**header.guessed, **named}}, signs
 
 
 def _with_unit(sensor: SensorIdentity, positions: FitPositions, say: Remark) -> SensorIdentity:
@@ -201,7 +198,7 @@ def _channels(
 ) -> tuple[str, ...]:
     """Return the axes of a procedure that a log or a table has a reading of: a sensor of two axes has no column z."""
     axes = procedure.axes
-    if isinstance(procedure, FreePositions) or not axes:
+    if not (procedure.known and axes):
         return axes or AXES
     if header is None:
         named = named_columns(options["columns"], AXES)
@@ -222,7 +219,7 @@ def _of_table(data: Any, sensor: SensorIdentity, procedure: PositionProcedure, o
         means = {name: sensor.unit for axis in AXES for name in (axis, f"u{axis}")}
         require_units(table, where, means, ("the ", Argument("unit")))
     file = str(data) if isinstance(data, str | Path) else "the table"
-    free = isinstance(procedure, FreePositions)
+    free = not procedure.known
     rows = _path_or_rows(data, "the table", TabledRow)
     positions = read_positions(rows, sensor.channels, named_columns(options["columns"], AXES), unnamed=free)
     provenance = _provenance("table of positions", table=_origin(data, FileRecord))
@@ -266,7 +263,7 @@ def _of_log(
         if named:
             raise UsageError(option="segments", why="names positions, and the logs do (NAME=FILE): leave one out")
         file, stated = _segments(given)
-    elif not named and (isinstance(procedure, FreePositions) or len(procedure.positions) > 1):
+    elif not named and len(procedure.positions) > 1:
         judge = _judge(procedure, sensor.channels)
     require_positions([*stated, *named], procedure, file=file)
     record, found = logs.read(sensor.channels, options["columns"], sensor.unit)
@@ -284,21 +281,13 @@ def _of_log(
             times_noise=chosen.multiple,
         )
     if found:
-        count = len({*_holds_of(found)})
         holds = trimmed(record, sensor.channels, found, rails, fewest)
-        for line in holds.in_words(count):
-            say(line)
-        if holds.left_out or holds.trimmed:
-            origin = (origin or SegmentsRecord(found="one log for each position")).replaced(
-                holds=count, trimmed=holds.trimmed, left_out=holds.left_out
-            )
-        stated = [*holds.segments]
+        stated, origin = [*holds.segments], _trimmed_origin(holds, len({*_holds_of(found)}), origin, say)
         _require_held(procedure, holds, file)
     segments = stated or [Segment(procedure.positions[0].name, 0, len(record), None, None)]
     soak = (procedure.soak.thermometer or SOAKS * procedure.soak.seconds) if procedure.thermal else 0.0
     intervals = intervals_of(record, sensor.channels, segments, rails, file=file, soak=soak)
-    measurements = [one.measurement for one in intervals]
-    for one in measurements:
+    for one in (interval.measurement for interval in intervals):
         if far := one.when.get("left_out"):
             which = "1 sample is" if far == 1 else f"{far} samples are"
             say(f"{one.position}: {which} far off the others or missing, and left out")
@@ -317,6 +306,16 @@ def _of_log(
     )
 
 
+def _trimmed_origin(holds: Trimmed, count: int, origin: SegmentsRecord | None, say: Remark) -> SegmentsRecord | None:
+    """Say what was trimmed and left out of the holds, and return where the segments come from with it."""
+    for line in holds.in_words(count):
+        say(line)
+    if not (holds.left_out or holds.trimmed):
+        return origin
+    before = origin or SegmentsRecord(found="one log for each position")
+    return before.replaced(holds=count, trimmed=holds.trimmed, left_out=holds.left_out)
+
+
 def _holds_of(segments: Sequence[Segment]) -> Iterator[tuple[str, int]]:
     """Yield a mark of the hold of each segment: of those of one name that follow each other it is one."""
     number, last = -1, None
@@ -328,10 +327,8 @@ def _holds_of(segments: Sequence[Segment]) -> Iterator[tuple[str, int]]:
 
 def _require_held(procedure: PositionProcedure, holds: Trimmed, file: str) -> None:
     """Refuse a procedure of set positions of which one has no hold left."""
-    if isinstance(procedure, FreePositions):
-        return
     there = {segment.name for segment in holds.segments}
-    gone = [position.name for position in procedure.positions if position.name not in there]
+    gone = [name for name in procedure.known if name not in there]
     reasons = [f"{name} ({why})" for name, why in holds.left_out.items() if name.partition(" (")[0] in gone]
     if gone and reasons:
         raise InputError(f"no hold is left in {', '.join(reasons)}: take it again", file=file)
@@ -361,8 +358,7 @@ def _of_ramp(
     first = procedure.positions[0]
     gravity = first.gravity
     if segment is not None:
-        known = {position.name: position.gravity for position in procedure.positions}
-        gravity = segment.gravity or known.get(segment.name, gravity)
+        gravity = segment.gravity or procedure.known.get(segment.name, first).gravity
     attitude = Measurement(
         first.name if segment is None else segment.name,
         gravity,
@@ -395,7 +391,7 @@ def _segments(given: Any) -> tuple[str, list[Segment]]:
 
 def _judge(procedure: PositionProcedure, channels: Sequence[str]) -> Judge:
     """Return what judges static intervals; a UsageError where readings do not tell the positions apart."""
-    if isinstance(procedure, FreePositions):
+    if not procedure.known:
         return fit_free
     gravity = {position.name: position.gravity for position in procedure.positions}
     judge = judge_of(gravity, channels) if procedure.axes else None

@@ -28,7 +28,7 @@ from tiltcal.core.samples import SampleSummary, resolution, summarise
 from tiltcal.dialect import TEMPERATURE, TIME
 from tiltcal.errors import InputError
 from tiltcal.files.moments import stamp_of
-from tiltcal.files.procedure import FreePositions, PositionProcedure
+from tiltcal.files.procedure import PositionProcedure
 from tiltcal.files.tables import Segment, TabledPosition
 from tiltcal.logs.columns import RecordedColumns
 
@@ -234,9 +234,9 @@ def placed(intervals: Sequence[StaticInterval], procedure: PositionProcedure, *,
     The procedure says the direction of a position that is only named, and its temperature where none was recorded.
     Refused is a temperature that did not stand still where it counts, or is missing in some.
     """
-    if isinstance(procedure, FreePositions):
+    known = procedure.known
+    if not known:
         return [interval.measurement for interval in intervals]
-    known = {position.name: position for position in procedure.positions}
     if procedure.thermal:
         for interval in intervals:
             _require_steady(interval, procedure, file)
@@ -261,9 +261,9 @@ def require_positions(
     named: Iterable[Segment] | Iterable[TabledPosition], procedure: PositionProcedure, *, file: str
 ) -> None:
     """Refuse segments or tabled positions without a direction whose names the procedure does not have."""
-    known = [position.name for position in procedure.positions]
-    for segment in () if isinstance(procedure, FreePositions) else named:
-        if segment.gravity is None and segment.name not in known:
+    known = list(procedure.known)
+    for segment in named:
+        if known and segment.gravity is None and segment.name not in known:
             near = get_close_matches(segment.name, known, n=1)
             meant = f" (did you mean {near[0]!r}?)" if near else f"; it has {', '.join(known)}"
             why = f"{procedure.name} has no position {segment.name!r}{meant}, and no gx, gy, gz are given for it"
