@@ -193,18 +193,22 @@ class ColumnLayout:
 
     def _cells(self, line: bytes) -> list[tuple[str, str]]:
         """Return the cells of a line as it is printed, each with its label, empty without one."""
-        text = without_clock(line.decode(errors="replace"))[1].strip()
+        whole = line.decode(errors="replace").strip()
+        text = without_clock(whole)[1].strip()
         if text.startswith("{"):
             try:
                 return [(key, cell.strip()) for key, cell in flattened(json.loads(text)).items()]
             except (ValueError, RecursionError):
                 return []
-        if any(character.isalpha() for around in printed(text)[0] for character in around):  # labels or units
-            texts, numbers = printed(text)
-            if any(character.isdigit() for around in texts for character in _WORD.sub("", around)):
-                return []  # a number with something stuck to it is none
-            return list(zip(labels_of(texts), numbers, strict=True))
-        return [("", cell.strip()) for cell in re.split(self.separator.decode(), text)]
+        texts, numbers = printed(text)
+        if any(character.isalpha() for around in texts for character in around):  # labels or units
+            # A number with something stuck to it is none.
+            sound = not any(character.isdigit() for around in texts for character in _WORD.sub("", around))
+            if sound and len(numbers) == len(self.names):
+                return list(zip(labels_of(texts), numbers, strict=True))
+        # A column that is skipped may hold words, or the clock.
+        split = [re.split(self.separator.decode(), one) for one in (text, whole)]
+        return [("", cell.strip()) for cell in split[len(split[0]) < len(self.names)]]
 
     def line(self, numbers: Mapping[str, float]) -> bytes:
         """Return the line that shows these numbers, by the names of their columns; a column without one shows 0."""
