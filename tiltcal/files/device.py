@@ -31,12 +31,12 @@ class DeviceFile(Record, kw_only=True, frozen=True):
     title: Annotated[Text, about("maker and device")]
     unit: Annotated[Text, about("of the readings, such as `deg`, `mrad`, `mm/m`, `g`")]
     baudrate: Annotated[Annotated[int, Meta(ge=50, le=20_000_000)], about("as `baudrate=` of an address")] = 9600
-    parity: Annotated[str, one_of("N", "E", "O", "M", "S"), about("none, even, odd, mark or space")] = "N"
+    parity: Annotated[str, one_of("N", "E", "O", "M", "S"), about("none, even, odd, mark or space", usual="`N`")] = "N"
     bits: Annotated[Annotated[int, Meta(ge=7, le=8)], about("data bits")] = 8
     ask: Annotated[
-        Sent | None,
+        Sent,
         about('what is sent before each reading, line end and all, such as `"#DATA\\r\\n"`; none: it speaks by itself'),
-    ] = None
+    ] = ""
     answer: Annotated[
         Text,
         about(
@@ -44,14 +44,17 @@ class DeviceFile(Record, kw_only=True, frozen=True):
             "it may reach over several lines, and no number stands beside it"
         ),
     ]
-    ends: Annotated[
-        Sent | None, about("what ends an answer: `lf`, `cr`, `crlf`, or its characters", usual="any line end")
-    ] = None
-    decimal: Annotated[str, one_of(*DECIMALS), about("the decimal mark")] = "point"
+    ends: Annotated[Sent, about("what ends an answer: `lf`, `cr`, `crlf`, or its characters", usual="any line end")] = (
+        ""
+    )
+    decimal: Annotated[str, one_of(*DECIMALS), about("`point` or `comma`", usual="`point`")] = "point"
     checksum: Annotated[
         str,
         one_of("xor", "sum", "none"),
-        about("of the bytes of the group `checked`, which the group `checksum` holds in hexadecimal or as a byte"),
+        about(
+            "`xor` or `sum` of the bytes of the group `checked`; the group `checksum` holds it, hexadecimal or as a byte",
+            usual="`none`",
+        ),
     ] = "none"
     timeout: Annotated[Annotated[float, Meta(ge=0.05, le=3600.0)], about("seconds in which an answer comes")] = 2.0
     interval: Annotated[FromZero, about("shortest time between two new readings, s")] = 0.0
@@ -69,12 +72,10 @@ class DeviceFile(Record, kw_only=True, frozen=True):
     def device(self) -> TextDevice:
         """What its driver and its virtual part are made of."""
         low, high = -RAIL if self.low is None else self.low, RAIL if self.high is None else self.high
-        same = ("name", "title", "answer", "decimal", "timeout", "interval")
+        same = ("name", "title", "ask", "answer", "ends", "decimal", "timeout", "interval")
         return TextDevice(
             **{key: getattr(self, key) for key in same},
             scale=Scale(self.unit, self.offset, self.sensitivity, low, high),
-            ask=self.ask or "",
-            ends=self.ends or "",
             checksum=self.checksum.removeprefix("none"),
             line={key: str(getattr(self, key)) for key in ("baudrate", "parity", "bits", "timeout")},
         )
@@ -111,7 +112,7 @@ def device_of(document: Document) -> DeviceFile:
     if why := device.scale.objection():
         raise body.error(why, why.partition("=")[0])
     for key in ("ask", "ends"):
-        text = getattr(file, key) or ""
+        text = getattr(file, key)
         if "\\" in text or max(text, default="") > "\xff":
             raise body.error(f'{text!r} is no bytes: write it in double quotes, such as "\\x02R\\r"', key)
     try:
