@@ -161,14 +161,6 @@ class StartUp:
     dropped: int = 0
     watched: int | None = None
 
-    def writes(self, sampling: Sampling) -> tuple[tuple[Write, ...], ...]:
-        """Return the groups of ``set_up`` with the codes of the rate and the range."""
-        rate, scale = sampling.rates.get(sampling.rate, 0), sampling.ranges[sampling.range].code
-        return tuple(
-            tuple(one._replace(value=one.value | one.rate * rate | one.range * scale) for one in group)
-            for group in self.set_up
-        )
-
 
 @dataclass(frozen=True, kw_only=True)
 class Sampling:
@@ -279,7 +271,11 @@ class RegisterPart:
     @property
     def writes(self) -> tuple[tuple[Write, ...], ...]:
         """The groups of writes that set it up, at its rate and its range."""
-        return self.start_up.writes(self.sampling)
+        rate, scale = self.sampling.rates.get(self.sampling.rate, 0), self.sampling.ranges[self.sampling.range].code
+        return tuple(
+            tuple(one._replace(value=one.value | one.rate * rate | one.range * scale) for one in group)
+            for group in self.start_up.set_up
+        )
 
     def at_range_and_rate(self, address: Address) -> RegisterPart:
         """Return the part with the options ``range`` and ``rate`` of an address."""

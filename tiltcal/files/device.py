@@ -52,7 +52,7 @@ class DeviceFile(Record, kw_only=True, frozen=True):
         str,
         one_of("xor", "sum", "none"),
         about(
-            "`xor` or `sum` of the bytes of the group `checked`; the group `checksum` holds it, hexadecimal or as a byte",
+            "`xor` or `sum` of the bytes of the group `checked`; the group `checksum` has it, hexadecimal or a byte",
             usual="`none`",
         ),
     ] = "none"
