@@ -76,7 +76,9 @@ def test_a_position_at_the_rail_is_refused() -> None:
             "x": [reading, 614.0, 1024.0, 1024.0],
             "y": [1024.0, 1024.0, 1434.0, 614.0],
         }
-        with pytest.raises(EstimateError, match=f"x reads {reading:g} count in x-tilt1, at its rail or beyond"):
+        with pytest.raises(
+            EstimateError, match=f"x reads {reading:g} count in x-tilt1, at its rail or beyond .101 to 2047.:"
+        ):
             tiltcal.fit("plane", table, serial="S-1", sensor="sca100t-d02", jig=0.1)
 
 

@@ -13,7 +13,7 @@ from support.measured import mean_of
 from tiltcal.calibration.complete import level
 from tiltcal.calibration.measurement import BenchUncertainty
 from tiltcal.calibration.season import DAY, DatedCalibration, SensorHistory
-from tiltcal.core.model import Coefficients
+from tiltcal.core.model import Coefficients, Thermal
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity, read_calibration
 from tiltcal.files.coefficients import Uncertainty
 from tiltcal.files.procedure import find_procedure
@@ -72,6 +72,16 @@ def test_two_calibrations_of_their_own_have_independent_errors() -> None:
     ):
         assert season.at(day * DAY, stability).uncertainty["offset.x"] == pytest.approx(u, rel=FOUR_DIGITS), day
     assert season.at(50.0 * DAY, stated).uncertainty["sensitivity.x.x"] == pytest.approx(0.25, rel=FOUR_DIGITS)
+
+
+def test_a_quarter_of_the_way_the_lag_has_changed_by_a_quarter() -> None:
+    def late(lag: float) -> CalibrationRecord:
+        thermal = Thermal(24.0, (5.0, 40.0), np.array([[0.1], [0.2]]), np.zeros((2, 1)), lag)
+        return replace(BASE, coefficients=replace(BASE.coefficients, thermal=thermal), uncertainty=Uncertainty({}))
+
+    found = history(late(100.0), late(200.0)).at(25.0 * DAY).coefficients.thermal
+    assert found is not None
+    assert found.lag == pytest.approx(125.0)
 
 
 def test_of_two_sessions_only_what_the_data_sheet_states_is_shared() -> None:

@@ -86,6 +86,14 @@ def test_error_names_line_and_key() -> None:
             "calibration.nonlinearity",
             "several",
         ),
+        # 1 - 3 * 0.31 at ±1 g: the reading hardly changes there.
+        (
+            "  mounting:",
+            "  nonlinearity: {x: [0, -0.31], y: [0, 0]}\n  mounting:",
+            13,
+            "calibration.nonlinearity",
+            "several",
+        ),
         ("[1e-8, 0.01]]", "[2e-8, 0.01]]", 16, "uncertainty.covariance.matrix", "not symmetric"),
         ("matrix: [[0.01", "matrix: [[-0.01", 16, "uncertainty.covariance.matrix", "no covariance"),
         ("[[0.01, 1e-8], [1e-8", "[[0.01, 0.02], [0.02", 16, "uncertainty.covariance.matrix", "no covariance"),
