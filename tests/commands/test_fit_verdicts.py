@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
+from support import FIXTURES
+from support.command import tiltcal as tiltcal_command
 
 import tiltcal
 from tiltcal.core.model import Array
@@ -42,6 +45,18 @@ def test_faces_that_are_laid_by_hand_are_no_wrong_faces() -> None:
     assert six_faces(up / np.linalg.norm(up, axis=1, keepdims=True)).sensitivity["x", "x"] == pytest.approx(
         1.0, abs=0.1
     )
+
+
+@pytest.mark.parametrize(("table", "code"), [("moving_table: true", 1), ("moving_table: false", 0)])
+def test_a_moving_table_that_agrees_to_4_tenths_of_a_degree_fails(table: str, code: int, tmp_path: Path) -> None:
+    """Two parts were exchanged: with a table that sets the angles by itself nothing else moves them so far."""
+    text = (FIXTURES / "multi-angle.yaml").read_text()
+    text, jig = re.subn(r"  jig_estimated_degrees: .*\n", "  jig_estimated_degrees: 0.4\n", text)
+    text, bench = re.subn(r"  bench: \{", f"  bench: {{{table}, ", text)
+    assert (jig, bench) == (1, 1)
+    (tmp_path / "a.yaml").write_text(re.sub(r"  (chi_square|p_value): .*\n", "", text))
+    checked = tiltcal_command("check", "a.yaml", cwd=tmp_path)
+    assert (checked.returncode, "agree to 0.4° only" in checked.stdout) == (code, bool(code))
 
 
 def test_the_lean_of_the_table_is_no_residual_of_a_reversal(tmp_path: Path) -> None:

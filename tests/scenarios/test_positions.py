@@ -140,6 +140,7 @@ def test_a_converter_that_never_followed_is_in_the_file(
     assert [note.split()[0] for note in found.fit.notes if "was not seen to follow" in note] == ["x"]
     checked = tiltcal("check", "S-1.yaml")
     assert checked.returncode == (0 if flickers else 1)
+    assert "no channel followed" not in checked.stdout  # y did
     assert ("x was not seen to follow any movement" in checked.stdout) == (not flickers)
     assert tiltcal("replay", "S-1.journal.jsonl", "--golden", "S-1.yaml").returncode == 0
 

@@ -18,7 +18,6 @@ import numpy as np
 import tiltcal
 from tiltcal.calibration import stated
 from tiltcal.calibration.comparison import compare_records, require_same_sensor, temperature_of
-from tiltcal.calibration.fit import LARGEST_AGREEMENT
 from tiltcal.calibration.record import mounting_in_words, stated_mounting, with_mounting
 from tiltcal.core.directions import common, tilts
 from tiltcal.core.estimation.estimate import NO_FREEDOM, Estimate, estimate, with_hysteresis
@@ -38,6 +37,8 @@ REFUSED = 0.001  # sessions are refused where chi-square rises over the separate
 
 KINDS = {"offset": ("offset.",), "sensitivity": ("sensitivity.", "nonlinearity."), "temperature": ("temperature.",)}
 """The coefficients that ``derived.assumed`` names by their first word."""
+
+APART = 0.5  # estimated jig of all sessions above which they contradict, where each alone shows none, degrees
 
 UNKNOWN_JIG = 5.0
 """Standard uncertainty of a set angle where a session states and shows none and others state theirs, degrees."""
@@ -332,7 +333,7 @@ def _require_agreement(
         jig = sqrt(sum(count * size**2 for size, count in shown) / max(sum(count for _, count in shown), 1))
         if not free and any(count for _, count in shown):
             jig = estimate(every, design).estimated_jig or 0.0
-            apart = jig > LARGEST_AGREEMENT
+            apart = jig > APART
     try:
         together = estimate(every, replace(design, jig=jig))
     except EstimateError as failure:

@@ -22,6 +22,7 @@ from tiltcal.calibration.stated import (
     rounded,
     stated_section,
 )
+from tiltcal.calibration.wording import LARGEST_AGREEMENT
 from tiltcal.core.directions import covered, tilts
 from tiltcal.core.estimation.estimate import NO_FREEDOM, Estimate, estimate_jointly, with_hysteresis
 from tiltcal.core.estimation.free import UNKNOWNS, FreeFit, fit_free
@@ -37,7 +38,6 @@ from tiltcal.files.results import ProcedureRecord
 
 OF_BASE = "of the base calibration"  # the origin of a sensitivity that the sensor's own calibration lends
 
-LARGEST_AGREEMENT = 0.5  # estimated jig above which it is asked what happened, degrees
 STEEP = 0.99  # gravity along a channel, g, from which on a set angle says little of its reading
 DRIFT_NOT_SHOWN = "along gravity only the noise counts; --closing or --jig shows a drift"
 

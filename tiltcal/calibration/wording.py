@@ -26,6 +26,8 @@ LOST_HOLDS = "holds are left out for a rail or standstill, which is not credible
 
 REMARKABLE = 0.05  # probability of a chi-square below which it is remarked
 LARGEST_ESTIMATED_JIG = 5.0  # estimated jig above which a calibration is judged failing, degrees
+LARGEST_AGREEMENT = 0.3  # and above which it is asked what happened: of a table that moves by itself it is a verdict
+NOTHING_FOLLOWED = "no channel followed any movement although the part was turned: is it alive, and on the table?"
 
 
 def quiet_note(channel: str, count: int) -> str:
@@ -169,12 +171,15 @@ def objections(calibration: CalibrationRecord) -> list[str]:
             f"chi-square {fit.chi_square:g} with {fit.degrees_of_freedom} degrees of freedom (probability {shown}) is "
             f"not credible: {cause}"
         )
-    if fit.jig_estimated_degrees is not None and fit.jig_estimated_degrees > LARGEST_ESTIMATED_JIG:
-        found.append(f"the positions agree to {fit.jig_estimated_degrees:.2g}° only: one of them was another")
+    shows, bench = fit.jig_estimated_degrees or 0.0, calibration.provenance.bench
+    if shows > LARGEST_ESTIMATED_JIG or (
+        bench is not None and (bench.moving_table or bench.reference) and shows > LARGEST_AGREEMENT
+    ):
+        found.append(f"the positions agree to {shows:.2g}° only: one of them was another")
     if fit.suspect_positions:
         named = [f"{position} ({suspect.off_degrees:g}°)" for position, suspect in fit.suspect_positions.items()]
         found.append(f"further off than the stated jig allows, the worst first: {', '.join(named)}")
-    found += [note for note in fit.notes if ONE_VALUE in note or LOST_HOLDS in note]
+    found += [note for note in fit.notes if ONE_VALUE in note or LOST_HOLDS in note or note == NOTHING_FOLLOWED]
     return [*found, *_objections_to_mounting(fit.mounting)]
 
 

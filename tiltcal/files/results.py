@@ -318,6 +318,7 @@ class BenchRecord(Record, kw_only=True):
     axes: Annotated[Names, about("of the fixture along the sensor's axes, where it does not sit straight")] = ()
     thermometer: Annotated[Text | None, about("address of the thermometer")] = None
     reference: Annotated[Text | None, about("address of the reference instrument")] = None
+    moving_table: Annotated[bool, about("whether a table set the positions by itself")] = False
     device: Annotated[DeviceFile | None, about("of a text device what its file says")] = None
     sensors: Annotated[tuple[BenchSensorRecord, ...], about("of a pair: the sensors on the stage")] = ()
 

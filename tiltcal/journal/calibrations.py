@@ -126,17 +126,21 @@ def _tilt_calibrations(
     session: RecordedSession, provenance: Mapping[str, Any], statistics: Mapping[str, dict[str, int]]
 ) -> dict[str, CalibrationRecord]:
     """Return the calibration of each sensor that was not given up, by its serial number."""
-    from tiltcal.calibration.wording import quiet_note
+    from tiltcal.calibration.wording import NOTHING_FOLLOWED, quiet_note
 
     setup, records, calibrations = session.setup, fitted(session), {}
     quiet = session.spans.quiet_channels(setup.steps.positions)
+    turned = len({(one.gravity, one.heading or 0.0) for one in setup.steps.positions}) > 1
     for sensor, record in zip(session.at_work, records, strict=True):
         notes = [
             *compared(setup.reference),
             *setup.overdue(),
             *(quiet_note(channel, n) for channel, n in quiet[sensor.serial].items()),
         ]
+        if turned and len(quiet[sensor.serial]) == len(record.sensor.channels):
+            notes.append(NOTHING_FOLLOWED)
         bench = BenchRecord(
+            moving_table=setup.table is not None,
             address=sensor.address,
             axes=() if sensor.orientation.straight else tuple(sensor.orientation.names),
             thermometer=None if setup.thermometer is None else setup.thermometer.address,

@@ -306,9 +306,9 @@ def _sizes(equations: Equations, z: Array) -> list[Array]:
     ]
 
 
-# Hysteresis: two readings in one position at one temperature, which was reached from two sides. The truth is anywhere
-# between them, with a rectangular distribution (GUM 4.3.7): alike for all positions of the setting that shows the loop,
-# and by itself for each of them that was met only once.
+# Hysteresis: two readings in one position at one temperature, reached from two sides. The curve may follow one reading
+# and the truth the other: the difference is the half width of a rectangular distribution (GUM 4.3.7), alike for all
+# positions of the setting that shows the loop, and by itself for each of them that was met only once.
 
 
 def with_hysteresis(fitted: Estimate, sensor: SensorObservations) -> Estimate:
@@ -336,7 +336,7 @@ def with_hysteresis(fitted: Estimate, sensor: SensorObservations) -> Estimate:
                 together = np.flatnonzero(settings == setting)
                 for rows in (together, *(together[together == row] for row in set(together.tolist()) - set(twice))):
                     moved = fitted.by_reading[:, rows, column].sum(axis=1) * loop
-                    added += np.outer(moved, moved) / 12.0
+                    added += np.outer(moved, moved) / 3.0
     if not added.any():
         return fitted
     by_loops = Uncertain.errors(fitted.uncertain.names, added, source=HYSTERESIS)

@@ -37,9 +37,11 @@ _WORSE = 0.02  # largest relative growth of a leg's mean square error that is no
 _LOOP, _TURNING = 0.01, 1e-4  # p-values below which a loop, and residuals that depend on temperature, are real
 _TURNS = 3.0  # least ratio of mean square residuals behind the turns to the others that shows hysteresis
 _BEHIND_TURN = 0.1  # part of a leg, behind a turn, in which hysteresis changes sides
+_APART = 3.0  # legs differ at one temperature by more standard uncertainties of white noise: the zero wanders
 _LOOP_TERMS = 3  # terms of the polynomial of a loop: a play of a cubic, and Rayleigh's loop, have three
 _ONE_SIDED, _TWO_SIDED = 1.645, 1.96  # one- and two-sided 95 % normal quantiles
 _LAGS = 14  # grid points per sign in the initial search
+_SINGULAR = 1e-12  # an eigenvalue of a scaled normal matrix below this is what rounding leaves of zero
 _TINY = np.finfo(float).tiny
 _MEANS = 256  # most means to which a record is reduced before the fit
 _NOISE_SHARE = 0.02  # largest thermometer noise in a mean, as a fraction of the loop
@@ -116,6 +118,14 @@ def fit_ramp(record: RampRecord, *, reference: float, highest: int = 3) -> RampF
         if lag < 0.0:
             in_log = means.averaged(ThermalLag(lag)(record.time, record.temperature)) - reference
             u_element = float(np.sqrt(np.mean((in_log - means.temperature(lag)) ** 2)))
+    # A zero that wanders differs at one temperature: the curve may follow one leg and the truth another, all along it.
+    left = np.abs(loops[1] if used else loops[0])
+    apart = np.max(left, axis=0, where=left > _APART * _white_loops(means, places), initial=0.0)
+    for block, difference in zip(_blocks(coefficients), apart.tolist(), strict=True):
+        if not loop_covariance[block, block].any():
+            turned = 2.0 * difference / sqrt(3.0) / (high - low)
+            for term, u in enumerate((difference / sqrt(3.0), turned)):
+                loop_covariance[block.start + term, block.start + term] += u**2
     # Rounding of the thermometer does not average out at the turns.
     slopes = np.pad(coefficients[:, 1:] * np.arange(1, coefficients.shape[1]), ((0, 0), (0, 1)))
     for block, slope in zip(_blocks(slopes), slopes, strict=True):
@@ -213,6 +223,14 @@ def _loops(means: RampMeans, places: Array, lag: float, order: int) -> Array:
     return np.asarray(2.0 * np.vander(places, len(half), increasing=True) @ half)
 
 
+def _white_loops(means: RampMeans, places: Array) -> Array:
+    """Return the standard uncertainties of :func:`_loops` by the noise of single readings, unit, (places, channels)."""
+    ways = means.powers(0.0, _LOOP_TERMS - 1)
+    by_means = np.linalg.pinv(np.column_stack([ways, ways * means.rising[:, None]]))[ways.shape[1] :]
+    by_places = 2.0 * np.vander(places, len(by_means), increasing=True) @ by_means
+    return np.asarray(np.linalg.norm(by_places, axis=1)[:, None] * means.white)
+
+
 def _cost_of_hysteresis(means: RampMeans, order: int) -> float:
     """Return the sum of squares that the best hysteresis without time leaves, over the scale squared.
 
@@ -302,11 +320,13 @@ def _generalised_least_squares(
     normal, against = np.zeros((channels * p + shared,) * 2), np.zeros(channels * p + shared)
     for c, (design, noise, column) in enumerate(zip(designs, noises, values.T, strict=True)):
         unknowns = [*range(c * p, (c + 1) * p), *range(channels * p, len(against))]
-        weighted = np.linalg.solve(noise, design)
-        normal[np.ix_(unknowns, unknowns)] += design.T @ weighted
-        against[unknowns] += weighted.T @ column
+        root = np.linalg.cholesky(noise)  # so that no product is negative where noise that lasts is far above the other
+        white, measured = np.linalg.solve(root, design), np.linalg.solve(root, column)
+        normal[np.ix_(unknowns, unknowns)] += white.T @ white
+        against[unknowns] += white.T @ measured
     size = np.sqrt(np.diag(normal))
-    covariance = np.linalg.pinv(normal / np.outer(size, size), hermitian=True) / np.outer(size, size)
+    scaled = normal / np.outer(size, size)
+    covariance = np.linalg.pinv(scaled, rcond=_SINGULAR, hermitian=True) / np.outer(size, size)
     return covariance @ against, covariance
 
 
@@ -341,6 +361,7 @@ class RampMeans:
         self.leg: NDArray[np.intp] = np.repeat(np.arange(len(legs)), counts)
         self.rising = np.where(np.array([leg.rising for leg in legs])[self.leg], 1.0, -1.0)  # -1 on the way down
         self.time, self.readings = self.averaged(record.time), self.averaged(record.readings)
+        self.white = record.noise / sqrt(record.rows / len(self.leg))  # of a mean by noise of single readings, unit
         # What rounding does not average out at the turns may shift the curve by so much, °C.
         self.shift = min(_END_WEIGHT * len(legs) / steps, 1.0) * record.step / sqrt(12.0)
         x = self.powers(0.0, highest)

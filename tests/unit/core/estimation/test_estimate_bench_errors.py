@@ -154,7 +154,7 @@ def test_a_loop_is_in_offset_and_drift() -> None:
     found = looped(0.0, held=True)
     drift, offset = np.linalg.pinv(np.vander(TEMPERATURES, 2))
     loop = max(found.residuals[3, 0] - found.residuals[1, 0], found.residuals[4, 0] - found.residuals[0, 0])
-    expected = [loop**2 / 12.0 * (np.sum(by) ** 2 + by[2] ** 2) for by in (offset, drift)]
+    expected = [loop**2 / 3.0 * (np.sum(by) ** 2 + by[2] ** 2) for by in (offset, drift)]
     assert loop == pytest.approx(0.4, abs=0.01)
     added = dict(zip(found.uncertain.names, found.uncertain.sources["hysteresis"], strict=True))
     assert [added["offset.x"], added["temperature.offset.x.1"]] == pytest.approx(expected, rel=1e-6)
