@@ -14,7 +14,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import chain
+from itertools import chain, pairwise
 from typing import TYPE_CHECKING, Any
 
 from tiltcal.units import is_unit, split_unit
@@ -361,6 +361,8 @@ class _Reading:
         for row in rows:
             kinds = self.kinds[row]
             good = kinds.count("number") + kinds.count("time")
+            if self.separator == " ":  # a date and its time of day are one moment, unless a blank is all there is
+                good -= sum(pair == ("time", "time") for pair in pairwise(kinds))
             sizes[len(kinds)] += good - 2 * sum(map(bool, map(_MIXED.search, self._texts(row)))) if good else 0
         fields, score = max(sizes.items(), key=lambda item: item[1], default=(0, 0))
         return score, fields
@@ -406,7 +408,8 @@ def _pattern_of(lines: Sequence[str], later: Sequence[int]) -> Dialect | None:
         line = lines[row].strip()
         texts, numbers = printed(line)
         keys = _keys(line)
-        if keys or (numbers and any(map(_LABEL.search, texts[:-1])) and not _MOMENT.match(line)):
+        framed = any(map(_LABEL.search, texts[:-1])) or texts[0].strip() in ("[", "(", "<", "{")
+        if keys or (numbers and framed and not _MOMENT.match(line)):
             shapes.setdefault(keys or tuple("".join(text.split()) for text in texts), []).append(row)
     if 2 * sum(map(len, shapes.values())) <= len(later):
         return None

@@ -57,7 +57,7 @@ def test_a_bad_log_is_named_and_the_others_are_done(bench: Path) -> None:
     ("arguments", "said"),
     [
         (("log1.csv", "log2.csv"), "several logs need a folder"),
-        (("log1.csv", "log2.csv", "-o", "absent"), "several logs need a folder"),
+        (("log1.csv", "log2.csv", "-o", "log3.csv"), "several logs need a folder"),
         (("log1.csv", "tilt/log1.csv", "-o", "tilt"), "would both be"),
         (("log1.csv", "log2.csv", "-o", "."), "it would replace log1.csv, which is read"),
         (("-", "log2.csv", "-o", "tilt"), "standard input is one log"),

@@ -101,8 +101,8 @@ def command(
 
 def _outputs_in(folder: str, logs: Sequence[str], calibration: Path) -> dict[str, str]:
     """Return the output of each log: a file of its name in a folder, which replaces neither log nor calibration."""
-    if not os.path.isdir(folder):
-        raise UsageError(f"several logs need a folder for their results: make one and name it with -o, not {folder}")
+    if folder == "-" or os.path.isfile(folder):
+        raise UsageError(f"several logs need a folder for their results: name one with -o, not {folder}")
     if "-" in logs:
         raise UsageError("standard input is one log: leave the others out")
     logs_of: dict[str, str] = {}
@@ -111,6 +111,10 @@ def _outputs_in(folder: str, logs: Sequence[str], calibration: Path) -> dict[str
         if (other := logs_of.setdefault(output, log)) != log or logs.count(log) > 1:
             raise UsageError(f"{other} and {log} would both be {output}: apply to them one by one")
         require_apart(output, log, calibration)
+    try:
+        os.makedirs(folder, exist_ok=True)
+    except OSError as failure:
+        raise UsageError(f"the folder {folder} cannot be made: {failure.strerror}") from failure
     return {log: output for output, log in logs_of.items()}
 
 

@@ -49,8 +49,8 @@ def column_names(names: Sequence[str], roles: Sequence[str], named: Mapping[str,
     bare = {str(place): name for place, name in enumerate(names, 1)} | bare
     meant: dict[str, set[str]] = {}
     for name in names:
-        short = split_unit(name)[0]
-        if role := meaning(short):
+        short, unit = split_unit(name)
+        if role := TEMPERATURE if spelt(unit or "") in TEMPERATURES and meaning(short) == TIME else meaning(short):
             meant.setdefault(role, set()).add(name)
     found = {}
     for role in roles:
@@ -116,7 +116,9 @@ def locate_columns(
             located[role] = log.names.index(columns[role])
         elif role in named or role in channels or role in others:
             why = _absent(named.get(role, role), log.names, option, f"{role}=" if option == "columns" else "")
-            raise InputError(why, file=log.name, line=log.header_line)
+            path = log.source.path
+            hint = f"; `tiltcal probe {path}` shows what is in it" if path not in ("", "-") else ""
+            raise InputError((*parts_of(why), hint), file=log.name, line=log.header_line)
     shared = [role for role in located if role in channels and list(located.values()).count(located[role]) > 1]
     if shared:
         name = log.names[located[shared[0]]]

@@ -22,6 +22,7 @@ from tiltcal.calibration.measurement import (
 )
 from tiltcal.calibration.priors import SENSITIVITY_FROM
 from tiltcal.calibration.record import bases_of
+from tiltcal.column_guess import LENGTHS
 from tiltcal.core.estimation.free import fit_free
 from tiltcal.core.model import AXES, Array
 from tiltcal.core.ramp.record import RampRecord, ramp_record
@@ -122,7 +123,8 @@ def fit_recorded(
         elif positions.lengths is not None:
             remark = length_remark(positions.lengths, identity.unit, positions.columns)
             options["say"](f"note: {remark}") if remark else None
-        for remark in dict.fromkeys(remark for log in (logs.logs if logs else ()) for remark in log.remarks):
+        remarks = (remark for log in (logs.logs if logs else ()) for remark in (*log.remarks, *log.clock_remarks))
+        for remark in dict.fromkeys(remarks):
             options["say"](f"note: {remark}")
     measured = MeasuredSensor(
         identity,
@@ -237,7 +239,7 @@ def _require_gravity(columns: Sequence[Array], unit: str) -> None:
     if usual is None or len(columns) < len(AXES):
         return
     length = float(np.nanmedian(np.linalg.norm(np.stack(columns), axis=0)))
-    if length < WEIGHTLESS * usual:
+    if length < WEIGHTLESS * usual and not any(low <= length <= high for low, high in LENGTHS.values()):
         raise EstimateError(
             f"the readings are {length:.2g} {unit} long at rest, and gravity is {usual:.3g} {unit}: gravity has been "
             "taken out of them. Record the acceleration with gravity, or state the unit that they are in"

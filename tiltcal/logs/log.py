@@ -13,8 +13,16 @@ from numpy.typing import NDArray
 from tiltcal.core.model import Array
 from tiltcal.errors import InputError
 from tiltcal.logs.cf_attributes import seconds_since_1970
-from tiltcal.logs.numbers_and_times import are_moments, column_numbers, column_seconds, unit_since_epoch, unread_time
+from tiltcal.logs.numbers_and_times import (
+    are_moments,
+    clock_breaks,
+    column_numbers,
+    column_seconds,
+    unit_since_epoch,
+    unread_time,
+)
 from tiltcal.logs.streams import keep_freed_memory, read_ahead, sha256_of
+from tiltcal.printable import counted
 from tiltcal.units import TEMPERATURES, spelt, split_unit
 
 if TYPE_CHECKING:
@@ -94,6 +102,8 @@ class LogReader(ABC):
         self.remarks: list[str] = []
         self._moments: bool | None = None
         self._time_unit: str | None = None
+        self._last_time: Array = np.empty(0)
+        self._breaks: dict[str, tuple[int, int]] = {}
 
     @property
     def name(self) -> str:
@@ -135,8 +145,11 @@ class LogReader(ABC):
             if not timed and block.times is not None:
                 self._refuse_times(block.times, self.names[time or 0], rows)
             rows += len(block)
+            block = self._converted(block, time, temperatures)
+            if time is not None:
+                self._watch_clock(block.values[time], self.rows_read)
             self.rows_read = rows
-            yield self._converted(block, time, temperatures)
+            yield block
             if self.source.progress is not None:
                 self.source.progress(self.bytes_read, self.source.size)
 
@@ -163,6 +176,27 @@ class LogReader(ABC):
             if stated not in (None, "s"):
                 self._say_unit(time, str(stated), "seconds", by)
         return replace(block, values=values)
+
+    def _watch_clock(self, times: Array, first: int) -> None:
+        """Count where the clock starts again, and which rows are out of order or have the time of the row before."""
+        times = np.concatenate([self._last_time, times])
+        shift = first - len(self._last_time)
+        for kind, found in zip(("starts again", "goes back"), clock_breaks(times), strict=True):
+            count, at = self._breaks.get(kind, (0, 0))
+            if len(found):
+                self._breaks[kind] = (count + len(found), at or int(found[0]) + shift)
+        known = times[np.isfinite(times)]
+        if doubled := int(np.count_nonzero(np.diff(known) == 0.0)):
+            self._breaks["stands still"] = (self._breaks.get("stands still", (0, 0))[0] + doubled, 0)
+        self._last_time = known[-1:]
+
+    @property
+    def clock_remarks(self) -> list[str]:
+        """What is odd in the times that were read: a restart, rows out of order, doubled times."""
+        return [
+            f"the time {kind} {counted(count, 'time')}" + (f", first at row {at}" if at else "")
+            for kind, (count, at) in self._breaks.items()
+        ]
 
     def _say_unit(self, column: int, unit: str, used: str, by: str = "its name") -> None:
         said = f"column {self.names[column]!r} is in {unit}, by {by}: {used} are used inside"

@@ -23,7 +23,7 @@ from tiltcal.errors import InputError
 from tiltcal.logs.cf_attributes import COUNT
 from tiltcal.logs.kernel import PreparedSensor
 from tiltcal.logs.log import LogBlock, LogReader, Table
-from tiltcal.logs.numbers_and_times import no_time_yet, texts_of_times
+from tiltcal.logs.numbers_and_times import clock_breaks, no_time_yet, texts_of_times
 from tiltcal.logs.options import GroupSize
 
 if TYPE_CHECKING:
@@ -104,6 +104,7 @@ class Means:
         step = np.floor(micros / (float(self.size.seconds or 1.0) * 1e6))
         # NaN differs from NaN: rows before the first time are one group.
         changed = (step[1:] != step[:-1]) & (np.isfinite(step[1:]) | np.isfinite(step[:-1]))
+        changed[clock_breaks(time)[0] - 1] = True
         return np.concatenate([[0], np.cumsum(changed)])
 
     def _means(self, block: LogBlock, groups: NDArray[np.int64], bad: int) -> BlockOfMeans:

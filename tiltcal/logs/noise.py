@@ -33,6 +33,7 @@ from tiltcal.files.device import model_named
 from tiltcal.logs.columns import column_names, locate_readings, named_columns, read_columns, readings_header
 from tiltcal.logs.formats import open_log
 from tiltcal.logs.log import LogReader, Progress
+from tiltcal.logs.numbers_and_times import clock_breaks
 from tiltcal.printable import counted, in_html
 from tiltcal.stated_arguments import require_above_zero
 
@@ -172,9 +173,8 @@ def characterise_readings(
     missing = {channel: pace.rows - noise.count for channel, noise in noises.items() if noise.count < pace.rows}
     moved = moved_rows(samples, [noise.step for noise in noises.values()])
     stuck = max(stuck_spans(samples), key=lambda span: span[1] - span[0], default=None)
-    return SensorNoise(
-        pace, noises, missing, numbers.faulty, moved, stuck, scale.of(channels), target, tuple(log.remarks)
-    )
+    said, per_g = (*log.remarks, *log.clock_remarks), scale.of(channels)
+    return SensorNoise(pace, noises, missing, numbers.faulty, moved, stuck, per_g, target, said)
 
 
 def _time_column(log: LogReader, named: Mapping[str, str]) -> int:
@@ -194,8 +194,11 @@ def evenly_spaced(columns: list[Array], times: Array, file: str) -> tuple[list[A
     """
     rows = np.flatnonzero(np.isfinite(times))
     steps = np.diff(times[rows])
-    if len(steps) and steps.min() < 0.0:
-        row = int(rows[1 + np.argmin(steps)])
+    restarts, disorder = clock_breaks(times)
+    again = np.isin(rows[1:], restarts)
+    steps[again] = np.nan
+    if len(disorder):
+        row = int(disorder[0])
         raise InputError((f"time goes back at row {row}: sort the log, or state ", RATE), file=file)
     steps[np.diff(rows) != 1] = np.nan  # what lies between rows without a time is no step of one interval
     singles = steps[np.isfinite(steps)]
@@ -206,6 +209,7 @@ def evenly_spaced(columns: list[Array], times: Array, file: str) -> tuple[list[A
         why = why if len(rows) else "its times are neither seconds nor ISO 8601"
         raise InputError((f"its sample rate is unknown: {why}; state it with ", RATE), file=file)
     milliseconds = times[rows[:1000]] / _MILLISECOND
+    steps[again] = 2.0 * usual  # where the clock starts again, at least a row is lost
     slack = _MILLISECOND if np.all(np.abs(milliseconds - np.round(milliseconds)) < 1e-3) else 0.0
     late = np.flatnonzero(steps > _LATE * usual + slack)
     interval = float(np.nanmean(np.delete(steps, late)))

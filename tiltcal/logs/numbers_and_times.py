@@ -150,7 +150,10 @@ def clock_breaks(times: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     rows = np.flatnonzero(np.isfinite(times))
     known = times[rows]
     back = np.flatnonzero(np.diff(known) < 0.0) + 1
-    again = [row for row in back if (known[row : row + FOLLOWING] < known[row - 1]).all() and row + 1 < len(known)]
+    following = {row: known[row : row + FOLLOWING] for row in back.tolist()}
+    again = [
+        row for row, some in following.items() if some.max() < known[row - 1] and len(some) > 1 and some[1] >= some[0]
+    ]
     return rows[np.array(again, np.intp)], rows[np.setdiff1d(back, again)]
 
 

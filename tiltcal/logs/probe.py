@@ -17,7 +17,6 @@ from tiltcal.logs.columns import RecordedColumns, column_names, read_columns
 from tiltcal.logs.formats import log_format, open_log
 from tiltcal.logs.formats.csv import CsvReader
 from tiltcal.logs.log import LogReader, Progress
-from tiltcal.logs.numbers_and_times import clock_breaks
 from tiltcal.logs.recordings import unit_of_length
 from tiltcal.logs.still import different, farthest, may_be_means, mean_of, still_attitudes
 from tiltcal.printable import counted
@@ -44,7 +43,6 @@ class LogFacts:
     bad_rows: int
     missing: Mapping[str, int]
     rate: float | None
-    breaks: Sequence[str]
     remarks: Sequence[str]
     length: float | None
     attitudes: int
@@ -69,7 +67,7 @@ class LogFacts:
         bad = f", {counted(self.bad_rows, 'row')} that cannot be parsed" if self.bad_rows else ""
         yield f"{counted(self.rows, 'row')}{rate}{bad}"
         yield from (f"  {name}: missing in {counted(count, 'row')}" for name, count in self.missing.items())
-        yield from (f"  {line}" for line in (*self.breaks, *self.remarks))
+        yield from (f"  {line}" for line in self.remarks)
         if self.length is not None:
             yield f"at rest the readings are {self.length:.5g} long"
         if self.attitudes:
@@ -105,7 +103,7 @@ def probe_log(path: str, progress: Progress | None = None) -> LogFacts:
             for stated in [spelt(log.unit(number - 1) or "")]
         ]
         times = record.by_role.get(TIME)
-        rate, breaks = (None, []) if times is None else _pace(times)
+        rate = None if times is None else _rate(times)
         kinds = different(means) if len(means) and len(readings) == len(AXES) else means
         absent = farthest(kinds) if 1 < len(kinds) < ENOUGH and len(readings) == len(AXES) else ""
         if len(kinds) < 2 and log.rows_read <= FEW and may_be_means(readings):
@@ -119,8 +117,7 @@ def probe_log(path: str, progress: Progress | None = None) -> LogFacts:
             bad_rows=record.faulty,
             missing=_missing(record, axes),
             rate=rate,
-            breaks=breaks,
-            remarks=log.remarks,
+            remarks=[*log.clock_remarks, *log.remarks],
             length=significant(float(np.median(lengths)), 5) if len(lengths) else None,
             attitudes=len(turned),
             different=len(kinds),
@@ -184,19 +181,12 @@ def _missing(record: RecordedColumns, axes: Mapping[str, str]) -> dict[str, int]
     return {name: count - record.faulty for name, count in counts.items() if count > record.faulty}
 
 
-def _pace(times: Array) -> tuple[float | None, list[str]]:
-    """Return the rate of times, Hz, and what is odd in them."""
+def _rate(times: Array) -> float | None:
+    """Return the rate of times, Hz; None where they do not go on."""
     known = times[np.isfinite(times)]
     steps = np.diff(known)
     usual = float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else 0.0
-    restarts, disorder = clock_breaks(times)
-    doubled = int((steps == 0.0).sum())
-    said = [
-        f"the clock starts again {counted(len(restarts), 'time')}, first at row {restarts[0]}" if len(restarts) else "",
-        f"{counted(len(disorder), 'row')} out of order, first row {disorder[0]}" if len(disorder) else "",
-        f"{counted(doubled, 'time')} twice" if doubled else "",
-    ]
-    return (significant(1.0 / usual, 6) if usual > 0.0 else None), [line for line in said if line]
+    return significant(1.0 / usual, 6) if usual > 0.0 else None
 
 
 def _next(

@@ -164,6 +164,8 @@ class RowGrammar:
         torn = []
         for row in last:
             cell = (odd[row] if row in odd else rows[row].to_list())[-1:]
+            if "\0" in lines[row]:
+                continue
             if counts[row] < len(names) or (row not in faults and is_cut(self.dialect.with_point(cell[0]))):
                 faults[row] = "the row is cut short"
                 torn.append(row)

@@ -1,0 +1,82 @@
+"""Whatever wrote the log: every kind is calibrated within 1 mg, and ``apply`` writes a row for each reading."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.command import tiltcal
+from support.kinds_of_logs import KINDS, OFFSET, READINGS, UNNAMED, write_kind
+
+import tiltcal as library
+from tiltcal.errors import InputError
+from tiltcal.logs.formats import open_log
+
+PER_G = {"g": 1.0, "mg": 1e3, "m/s2": 9.80665, "mm/s2": 9806.65}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_kind_is_probed_fitted_and_applied(kind: str, tmp_path: Path) -> None:
+    log = tmp_path / "log.txt"
+    write_kind(kind, log)
+    probed = tiltcal("probe", log, "--json", cwd=tmp_path)
+    assert probed.returncode == 0, probed.stderr
+    said = json.loads(probed.stdout)
+    assert (said["rows"], said["attitudes"], said["different"]) == (len(READINGS), 16, 16)
+    columns = ("--columns", UNNAMED[kind]) if kind in UNNAMED else ()
+    assert f"--columns {UNNAMED.get(kind, '')}".strip() in said["next"] or not columns
+    done = tiltcal("fit", "free", log, *columns, "--serial", "A", "-o", "a.yaml", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    found = library.read(tmp_path / "a.yaml")
+    offsets = [found.offset[axis] / PER_G[found.sensor.unit] for axis in "xyz"]
+    assert np.abs(np.array(offsets) - OFFSET).max() < 1e-3
+    summary = tiltcal("apply", "a.yaml", log, "-o", "out.parquet", "--json", cwd=tmp_path)
+    assert json.loads(summary.stdout)["rows"] == len(READINGS), summary.stderr
+
+
+@pytest.mark.parametrize(
+    ("begin", "what"),
+    [
+        (b"PK\x03\x04" + bytes(80), "ZIP archive.*save the sheet as CSV"),
+        (b"MATLAB 5.0 MAT-file", "MATLAB file"),
+        (b"\x93NUMPY\x01\x00", "array of numpy"),
+        (b"MD\x00\x04" + bytes(600), "Axivity.*cwa-convert"),
+        (b"TDSm\x0e\x00", "TDMS"),
+        (b"\x1f\x8b\x08\x00", "gzip.*zcat"),
+        (b"PAR1\x15\x04", "name it .parquet"),
+        (b"\x01\x02\x00\x03" * 64, "no text"),
+    ],
+)
+def test_a_file_that_is_no_text_is_refused_by_what_it_is(begin: bytes, what: str, tmp_path: Path) -> None:
+    (tmp_path / "log.csv").write_bytes(begin)
+    with pytest.raises(InputError, match=what), open_log(tmp_path / "log.csv"):
+        pass
+
+
+def test_other_names_inside_the_table_are_named_with_both(tmp_path: Path) -> None:
+    (tmp_path / "log.csv").write_text("time,x,y\n0,1,2\n1,1,2\ntime,y,x\n2,1,2\n")
+    why = r"log\.csv:4: the columns change here: 'time,y,x' behind 'time,x,y'"
+    with open_log(tmp_path / "log.csv", skip_bad_rows=True) as log, pytest.raises(InputError, match=why):
+        list(log.rows([1]))
+
+
+def test_a_byte_that_is_no_utf_8_is_replaced_alone_and_said(tmp_path: Path) -> None:
+    rows = ["1.5,20 °C".encode()] * 6000
+    rows[5000] = b"1.5,20 \xb0C"
+    (tmp_path / "log.csv").write_bytes(b"x,note \xc2\xb0\n" + b"\n".join(rows) + b"\n")
+    with open_log(tmp_path / "log.csv") as log:
+        notes = [line for block in log.rows([0]) for line in block.lines.to_list()]
+        assert log.remarks == ["1 byte outside UTF-8: replaced by \ufffd"]
+    assert (notes[0], notes[5000], notes[5999]) == ("1.5,20 °C", "1.5,20 \ufffdC", "1.5,20 °C")
+
+
+def test_a_clock_that_starts_again_is_a_break(tmp_path: Path) -> None:
+    draw = np.random.default_rng(3)
+    lines = [f"{0.01 * (k % 600):.2f},{draw.normal(0, 1e-3):.5f},{draw.normal(0, 1e-3):.5f},1.0\n" for k in range(1000)]
+    (tmp_path / "log.csv").write_text("time,x,y,z\n" + "".join(lines))
+    done = tiltcal("noise", "log.csv", "--columns", "x=x,y=y", "--unit", "g", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "(100 Hz)" in done.stdout
+    assert "the time starts again 1 time, first at row 600" in done.stderr
