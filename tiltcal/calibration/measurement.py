@@ -22,7 +22,7 @@ from tiltcal.core.samples import SampleSummary
 from tiltcal.drivers.model import OF_G, Model
 from tiltcal.errors import Argument, EstimateError, UsageError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
-from tiltcal.files.procedure import FreePositions, PositionProcedure
+from tiltcal.files.procedure import PositionProcedure
 from tiltcal.files.results import PositionRecord, PositionSet
 
 if TYPE_CHECKING:  # `check` needs no estimator
@@ -143,7 +143,7 @@ def require_tilt(procedure: PositionProcedure, model: Model) -> None:
             f"{procedure.name} takes tilt sensors, which read x, y and z; {model.name} reads {', '.join(others)} "
             "there: in the columns of its address call what senses gravity x, y or z, and skip the rest with -"
         )
-    if isinstance(procedure, FreePositions) and tuple(model.channels) != AXES:
+    if not procedure.known and tuple(model.channels) != AXES:
         raise UsageError(
             f"free positions need a sensor of three channels x, y and z, and {model.name} has "
             f"{', '.join(model.channels)}: unit gravity does not determine fewer; name a procedure that sets positions"

@@ -14,7 +14,7 @@ from tiltcal.core.model import AXES, values
 from tiltcal.drivers.model import Model, deviation_within
 from tiltcal.errors import Argument, EstimateError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
-from tiltcal.files.procedure import FreePositions, LevelCompletion, PositionProcedure
+from tiltcal.files.procedure import LevelCompletion, PositionProcedure
 
 SENSITIVITY_FROM = (
     "name a ", Argument("sensor"), " model whose nominal one may stand in, state it in the address (sensitivity=..., "
@@ -41,7 +41,7 @@ def design_of(
         procedure.drift,
         procedure.gain,
         procedure.reference or 0.0,
-        inf if isinstance(procedure, FreePositions) else bench.jig,
+        bench.jig if procedure.known else inf,
         table=bench.table_lean,
         heading=bench.heading or 0.0,
         instrument=bench.instrument,
