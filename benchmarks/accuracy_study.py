@@ -173,7 +173,7 @@ def leaning_table(rng: Generator) -> SimulatedSession:
     """Return twelve positions at one heading on a table whose lean is stated."""
     truth, lean = part(rng), np.radians(LEAN) * rng.standard_normal(2)
     mean = truth.reading(_seen(rng, lean, np.zeros(12)), np.zeros(12)) + NOISE * rng.standard_normal((12, 3))
-    wanted = replace(design(plan_of(12, noise=NOISE, jig=JIG), jig=JIG), table=LEAN)
+    wanted = replace(design(plan_of(12, noise=NOISE, jig=JIG), jig=JIG), table_lean=LEAN)
     return SimulatedSession([_observed(rng, POSITIONS[12], mean, np.zeros(12))], wanted, [truth])
 
 

@@ -268,7 +268,7 @@ def _design(sessions: Sequence[CombinedSession]) -> Design:
         max((thermal.gain.shape[1] for thermal in thermals), default=0),
         thermals[0].reference if thermals else 0.0,
         max((fit.jig_degrees for fit in fits if fit.jig_degrees is not None), default=None),
-        table=max((fit.table_degrees for fit in fits if fit.table_degrees is not None), default=None),
+        table_lean=max((fit.table_lean_degrees for fit in fits if fit.table_lean_degrees is not None), default=None),
         heading=max(fit.heading_degrees or 0.0 for fit in fits),
         thermometer=max(fit.thermometer_celsius or fit.thermometer_estimated_celsius or 0.0 for fit in fits),
         nonlinearity=max(bends, default=0),
@@ -338,7 +338,7 @@ def _require_agreement(
         together = estimate(every, replace(design, jig=jig))
     except EstimateError as failure:
         raise EstimateError(("the calibrations, fitted together: ", *failure.words)) from failure
-    bench = {name: getattr(design, name) for name in ("table", "heading", "reference", "thermometer")}
+    bench = {name: getattr(design, name) for name in ("table_lean", "heading", "reference", "thermometer")}
     alone = [estimate(group, replace(own, jig=jig, **bench)) for group, own in zip(seen, designs, strict=True)]
     dof, chi_square = sum(one.dof for one in alone), sum(one.chi_square or 0.0 for one in alone)
     rise, more = (together.chi_square or 0.0) - chi_square, together.dof - dof

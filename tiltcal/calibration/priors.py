@@ -42,7 +42,7 @@ def design_of(
         procedure.gain,
         procedure.reference or 0.0,
         bench.jig if procedure.known else inf,
-        table=bench.table_lean,
+        table_lean=bench.table_lean,
         heading=bench.heading or 0.0,
         instrument=bench.instrument,
         thermometer=bench.thermometer,

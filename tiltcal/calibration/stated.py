@@ -186,7 +186,7 @@ def fit_record(found: Estimate, design: Design, noise: float) -> results.FitReco
         degrees_of_freedom=found.dof,
         uncertainty_from=source,
         jig_degrees=None if design.free else design.jig,
-        table_degrees=design.table,
+        table_lean_degrees=design.table_lean,
         heading_degrees=design.heading or None,
         jig_estimated_degrees=shown(found.estimated_jig),
         thermometer_celsius=design.thermometer or None,

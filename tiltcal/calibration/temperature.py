@@ -423,7 +423,7 @@ def _sources(
     if stands_in:
         yield errors(PRIOR, np.stack(stands_in, axis=1), np.eye(len(stands_in)))
     across = np.array([np.cross(gravity, reading.by_gravity[0]) for reading in readings])
-    for source, u in ((JIG, design.jig), (TABLE, design.table)):
+    for source, u in ((JIG, design.jig), (TABLE, design.table_lean)):
         if u and u < inf:
             yield errors(source, offsets @ across, radians(u) ** 2 * np.eye(3))
     if bench.thermometer:

@@ -190,6 +190,6 @@ def _worth_trying(design: Design, positions: Sequence[Observation], *, level: bo
         for temperature in (max(met) + WARMER, min(met) - WARMER):
             name = f"level at {temperature:g} °C"
             yield replace(first, position=name, gravity=np.array(CANDIDATES[LEVEL]), temperature=temperature)
-    if design.table is not None:
+    if design.table_lean is not None:
         turned = f"{first.position} with the fixture turned by 180°"
         yield replace(positions[0], position=turned, heading=(first.heading or 0.0) + 180.0)

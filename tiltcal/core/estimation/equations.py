@@ -114,9 +114,9 @@ class Equations:
         self.channels = self._channels()
         self.u = np.concatenate([channel.u for channel in self.channels])
         self.basis = tangent_basis(self.gravity)
-        self.table_stated = design.table is not None
+        self.table_stated = design.table_lean is not None
         several = len({round(heading % 360.0, 9) for heading in self.headings}) > 1
-        leans = several if design.table is None else design.table > 0.0
+        leans = several if design.table_lean is None else design.table_lean > 0.0
         self._rotations = heading_rotations(np.radians(self.headings)) if leans else None
         self._shared = np.zeros((len(self.gravity), 2, 0))
         if design.instrument is not None:
@@ -138,7 +138,7 @@ class Equations:
         self.unknowns = start
         self.stated: Bench = {
             JIG: radians(design.jig or 0.0),
-            TABLE: UNKNOWN_TABLE if design.table is None else radians(design.table),
+            TABLE: UNKNOWN_TABLE if design.table_lean is None else radians(design.table_lean),
             HEADING: radians(design.heading),
             THERMOMETER: design.thermometer or 0.0,
             NOISE: 1.0,

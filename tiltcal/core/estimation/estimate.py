@@ -175,7 +175,7 @@ def _estimates(solution: Solution, dof: int, chi_square: float) -> tuple[Estimat
     attitudes = _attitudes(solution) if design.jig else []
     residuals, sigma, first = equations.unexplained(solution.z), solution.near.sigma, 0
     lean = equations.errors[TABLE]
-    covered = lean.stop > lean.start or design.table is not None
+    covered = lean.stop > lean.start or design.table_lean is not None
     estimates = []
     for sensor, own, uncertain in zip(
         equations.sensors, equations.sensor_coefficients(), budgets(solution), strict=True

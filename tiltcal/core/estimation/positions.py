@@ -95,7 +95,7 @@ class Design:
     gain: int = 0  # and of the sensitivity's
     reference: float = 0.0  # °C, where an order is above 0
     jig: float | None = None  # of each set angle, degrees per axis
-    table: float | None = None  # of the lean that all positions share, degrees per axis
+    table_lean: float | None = None  # of the lean that all positions share, degrees per axis
     heading: float = 0.0  # degrees
     thermometer: float | None = 0.0  # °C
     instrument: InstrumentErrors | None = None  # where a reference says what was set; the jig is its repeatability

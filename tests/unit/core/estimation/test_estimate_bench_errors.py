@@ -98,7 +98,7 @@ def share_inside(draw: Callable[[np.random.Generator], list[Observation]], wante
 
 
 class TestLean:
-    WANTED = Design(("x", "y"), ("x", "y"), jig=0.1, table=0.2)
+    WANTED = Design(("x", "y"), ("x", "y"), jig=0.1, table_lean=0.2)
     BY_LEAN = radians(0.2) * (1 + cos(radians(30))) / 2  # the mean of cos 30° and 1
 
     def test_a_stated_lean_is_in_the_offsets(self) -> None:

@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 
 def test_the_equations_are_linearised_as_differences_have_it() -> None:
     rng, turn = np.random.default_rng(6), [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]
-    bench = {"jig": 0.3, "table": 0.2, "heading": 1.0, "thermometer": 0.5}
+    bench = {"jig": 0.3, "table_lean": 0.2, "heading": 1.0, "thermometer": 0.5}
     wanted = Design(("x", "y"), XYZ, drift=2, gain=1, nonlinearity=2, reference=20.0, **bench)
     sensors = [
         SensorObservations(
