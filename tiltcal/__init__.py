@@ -25,15 +25,16 @@ if TYPE_CHECKING:
     from tiltcal.library.calibration import Calibration, PairCalibration, combine, compare, read
     from tiltcal.library.measure import measure, plan
     from tiltcal.library.recorded import CalibrationLibrary, apply_log, fit, match, noise, open_calibrations
+    from tiltcal.library.replay import Replay, replay
 
 __version__ = "0.1.0"
 
 # fmt: off
 __all__ = [
     "BusError", "Calibration", "CalibrationLibrary", "DeviceFault", "EstimateError", "HardwareError", "InputError",
-    "JournalError", "PairCalibration", "SensorError", "Stopped", "TiltcalError", "UsageError", "__version__",
+    "JournalError", "PairCalibration", "Replay", "SensorError", "Stopped", "TiltcalError", "UsageError", "__version__",
     "apply_log", "combine", "compare", "fit", "match", "measure", "noise", "open_calibrations", "open_sensor", "plan",
-    "read",
+    "read", "replay",
 ]
 # fmt: on
 
@@ -42,6 +43,7 @@ _HOME = {
     "library.calibration": "Calibration PairCalibration combine compare read",
     "library.measure": "measure plan",
     "library.recorded": "CalibrationLibrary apply_log fit match noise open_calibrations",
+    "library.replay": "Replay replay",
 }
 """The names that each module defines; all others are errors."""
 

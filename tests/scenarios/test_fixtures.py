@@ -7,12 +7,15 @@ import json
 import re
 import runpy
 import shutil
+import subprocess
+import sys
 from decimal import Decimal
+from importlib.metadata import entry_points
 from pathlib import Path
 
 import msgspec
 import pytest
-from support import FIXTURES
+from support import FIXTURES, ROOT
 from support.command import tiltcal
 
 from tiltcal.files.calibration import read_calibration
@@ -114,9 +117,54 @@ def test_a_golden_file_that_differs_is_judged_failing(tmp_path: Path) -> None:
     line, text = next((number, text) for number, text in lines if "SIM-42" in text)
     judged = tiltcal("replay", PLANE, "--golden", changed)
     assert judged.returncode == 1
-    both = f"- {text.replace('SIM-42', 'SIM-43')}\n+ {text}\n"
-    assert f"does not give {changed}: line {line} differs\n{both}" in judged.stderr
+    both = f"-{text.replace('SIM-42', 'SIM-43')}\n+{text}\n"
+    assert f"does not give {changed}: lines differ\n@@ -{line} +{line} @@\n{both}" in judged.stderr
     assert tiltcal("replay", PLANE, "--golden", golden(PLANE)).returncode == 0
+
+
+def test_the_workflow_of_the_page_is_green_and_then_red(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its lines as they stand, on journals of two procedures."""
+    monkeypatch.chdir(tmp_path)
+    page = (ROOT / "docs" / "how-to" / "ci.md").read_text(encoding="utf-8")
+    install, *lines = re.findall(r"- run: (.*)", page)
+    assert install == "pip install . tiltcal pytest"
+    (tmp_path / "journals").mkdir()
+    for name in ("plane", "zero-45"):
+        for end in (".journal.jsonl", ".yaml"):
+            shutil.copy(FIXTURES / f"{name}{end}", "journals")
+
+    def run(line: str) -> tuple[int, str]:
+        command, *arguments = line.split()
+        if (
+            command == "pytest" and "tiltcal" not in entry_points(group="pytest11").names
+        ):  # installed before it was there
+            arguments += ["-p", "tiltcal.pytest_plugin"]
+        done = subprocess.run(
+            [sys.executable, "-m", command, *arguments], capture_output=True, text=True, timeout=60, check=False
+        )
+        return done.returncode, done.stdout + done.stderr
+
+    (replayed, said), (tested, counted) = map(run, lines)
+    assert (replayed, tested) == (0, 0), said + counted
+    assert "2 journals are replayed, no calibration files differ" in said
+    assert "2 passed" in counted
+    golden = tmp_path / "journals" / "plane.yaml"
+    kept = golden.read_text(encoding="utf-8")
+    golden.write_text(kept.replace("SIM-42", "SIM-43").replace("operator: sim", "operator: me"), encoding="utf-8")
+    shutil.copy(golden, tmp_path / "journals" / "other.yaml")
+    (tmp_path / "journals" / "zero-45.yaml").unlink()
+    (replayed, said), (tested, counted) = map(run, lines)
+    assert (replayed, tested) == (1, 1)
+    for text in (said, counted):
+        assert (
+            "does not give journals/plane.yaml: lines differ\n@@ -3 +3 @@\n-sensor: {model: sca100t-d02, serial: SIM-43"
+            in text
+        )
+        assert "-  operator: me\n+  operator: sim" in text
+        assert "zero-45.journal.jsonl does not give journals/zero-45.yaml: there is no such file" in text
+    assert "no journal gives journals/other.yaml" in said
+    assert "2 journals are replayed, 3 calibration files differ from those in journals" in said
+    assert "2 failed" in counted
 
 
 @pytest.mark.parametrize("procedure", ["cross-axis", "complete"])

@@ -23,9 +23,9 @@ import tiltcal
 # fmt: off
 NAMES = [
     "BusError", "Calibration", "CalibrationLibrary", "DeviceFault", "EstimateError", "HardwareError", "InputError",
-    "JournalError", "PairCalibration", "SensorError", "Stopped", "TiltcalError", "UsageError", "__version__",
+    "JournalError", "PairCalibration", "Replay", "SensorError", "Stopped", "TiltcalError", "UsageError", "__version__",
     "apply_log", "combine", "compare", "fit", "match", "measure", "noise", "open_calibrations", "open_sensor", "plan",
-    "read",
+    "read", "replay",
 ]
 # fmt: on
 
