@@ -2,8 +2,9 @@
 
 Between two, each coefficient lies on the line that joins them, and its error has their weights: an error that both
 share, such as that of a sensitivity that a renewed level took over, stays what it is, the others are independent. What
-a coefficient may have wandered from the line adds to it: a stated wander with the variance of a Brownian bridge, else
-half of its change with a rectangular distribution. Beyond, the nearest calibration holds, and the wander adds to it.
+a coefficient may have wandered from the line adds to it, with the variance of a Brownian bridge: as it is stated, else
+as the changes of three and more calibrations show it, with their few degrees of freedom; of two the whole change
+counts. Beyond, the nearest calibration holds, and the wander grows with the time.
 
 Source: B. Øksendal, *Stochastic Differential Equations*, exercise 5.11 (bridge).
 """
@@ -16,6 +17,7 @@ from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 from functools import cached_property
 from itertools import chain, pairwise
+from math import inf
 from operator import attrgetter
 from pathlib import Path
 from statistics import mode
@@ -100,7 +102,7 @@ class SensorHistory:
     def at(self, time: float, stability: float | None = None) -> CalibrationRecord:
         """Return the calibration at a time, seconds since 1970: between two of them, or the nearest one.
 
-        ``stability`` is how far the offset wanders in a day, mg; half of each change counts where it is not stated.
+        ``stability`` is how far the offset wanders in a day, mg; not stated, the changes show it.
         UsageError: the two calibrations do not lie on a line.
         """
         dates = [calibration.date.timestamp() for calibration in self.calibrations]
@@ -109,12 +111,12 @@ class SensorHistory:
             length = dates[k + 1] - dates[k]
             share = (time - dates[k]) / length
             bridge = share * (1.0 - share)
-            walked = self._walked(k, bridge * length / DAY, 4.0 * bridge, stability)
+            walked = self._walked(k, bridge * length / DAY, stability)
             return _between(self.calibrations[k].record, self.calibrations[k + 1].record, share, walked)
         nearest = 0 if time <= dates[0] else -1
         record, days = self.calibrations[nearest].record, abs(time - dates[nearest]) / DAY
         if days:
-            errors = _with_walk(uncertain_of(record, None), self._walked(k, days, 1.0, stability))
+            errors = _with_walk(uncertain_of(record, None), self._walked(k, days, stability))
             record = replace(record, uncertainty=stated_section(errors, record.uncertainty))
         return _without_measured(record)
 
@@ -135,19 +137,41 @@ class SensorHistory:
                     "change with time: move the file that is wrong out of the folder"
                 )
 
-    def _walked(self, k: int, days: float, changes: float, stability: float | None) -> dict[str, float]:
-        """Return the variances that a stated wander adds in some days, or some times half of the change, unit²."""
+    def suggested_stability(self) -> float:
+        """Return how far the offset wanders in a day by the changes, mg, the worst channel; 0 of one calibration."""
+        coefficients, (rates, _) = self.calibrations[-1].record.coefficients, self._walk(0)
+        each = [rates.get(f"offset.{c}", 0.0) / coefficients.own_sensitivity(c) ** 2 for c in coefficients.channels]
+        return 1000.0 * float(np.sqrt(max(each)))
+
+    def _walked(self, k: int, days: float, stability: float | None) -> Uncertain:
+        """Return what coefficients wander in some days: as stated, or as the changes of all calibrations show it."""
         if stability is not None:
             coefficients = self.calibrations[-1].record.coefficients
             offsets = {f"offset.{c}": coefficients.own_sensitivity(c) / 1000.0 for c in coefficients.channels}
-            return {name: days * (stability * unit) ** 2 for name, unit in offsets.items()}
+            return Uncertain.errors(tuple(offsets), np.diag([days * (stability * u) ** 2 for u in offsets.values()]))
+        rates, dof = self._walk(k)
+        return Uncertain.errors(tuple(rates), np.diag([days * rate for rate in rates.values()]), dof)
+
+    def _walk(self, k: int) -> tuple[dict[str, float], float]:
+        """Return the variance that each coefficient wanders in a day, unit²/day, and its degrees of freedom.
+
+        The one change of two calibrations has hardly any: it counts whole, as the half width of a rectangle halfway.
+        """
         if len(self.calibrations) == 1:
-            return {}
+            return {}, inf
         self.require_line(k)
-        first, last = (one.record.coefficients for one in self.calibrations[k : k + 2])
-        before, after = values(referred(first, None if last.thermal is None else last.thermal.reference)), values(last)
-        both = [name for name in after if name in before and name.startswith(WANDERING)]
-        return {name: changes * (after[name] - before[name]) ** 2 / 12.0 for name in both}
+        thermal = self.calibrations[-1].record.coefficients.thermal
+        reference = None if thermal is None else thermal.reference
+        all_ = [values(referred(one.record.coefficients, reference)) for one in self.calibrations]
+        days = [(after.date - before.date).total_seconds() / DAY for before, after in pairwise(self.calibrations)]
+        names = [name for name in all_[-1] if name.startswith(WANDERING) and all(name in one for one in all_)]
+        rates = {
+            name: float(np.mean([(b[name] - a[name]) ** 2 / d for (a, b), d in zip(pairwise(all_), days, strict=True)]))
+            for name in names
+        }
+        if len(days) > 1:
+            return rates, float(len(days))
+        return {name: 4.0 * rate / 3.0 for name, rate in rates.items()}, inf
 
 
 class CalibrationFolder:
@@ -216,10 +240,8 @@ def _require_consistent(before: DatedCalibration, after: DatedCalibration) -> No
         )
 
 
-def _between(
-    before: CalibrationRecord, after: CalibrationRecord, share: float, walked: Mapping[str, float]
-) -> CalibrationRecord:
-    """Return the calibration at a share of the time between two; ``walked`` are variances to add, unit²."""
+def _between(before: CalibrationRecord, after: CalibrationRecord, share: float, walked: Uncertain) -> CalibrationRecord:
+    """Return the calibration at a share of the time between two; what has ``walked`` adds to it."""
     weights, stated = (1.0 - share, share), (before.uncertainty, after.uncertainty)
     reference = None if after.coefficients.thermal is None else after.coefficients.thermal.reference
     ends = [uncertain_of(record, reference) for record in (before, after)]
@@ -260,11 +282,9 @@ def _on_line(before: Coefficients, after: Coefficients, share: float) -> Coeffic
     return with_vector(wide, names, np.array(line))
 
 
-def _with_walk(errors: Uncertain, walked: Mapping[str, float]) -> Uncertain:
-    """Add the variance of what each coefficient may have wandered, unit²; none where nothing is uncertain."""
-    if not errors.names or not walked:
-        return errors
-    return weighted_sum(errors, Uncertain.errors(tuple(walked), np.diag(list(walked.values()))), (1.0, 1.0), ())
+def _with_walk(errors: Uncertain, walked: Uncertain) -> Uncertain:
+    """Add what each coefficient may have wandered; nothing where nothing is uncertain."""
+    return weighted_sum(errors, walked, (1.0, 1.0), ()) if errors.names and walked.names else errors
 
 
 def _without_measured(record: CalibrationRecord) -> CalibrationRecord:

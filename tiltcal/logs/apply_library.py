@@ -69,9 +69,12 @@ def prepare_library(library: CalibrationFolder, log: LogReader, options: ApplyOp
             for objection in objections(calibration.record):
                 say(f"note: {calibration.name}: {objection}")
         if options["uncertainty"] and options["stability"] is None:
-            alone = len(history.calibrations) == 1
-            counts = "no wandering" if alone else "half of its change between two calibrations"
-            say(f"note: how far {serial} wanders is not stated (--stability): {counts} counts")
+            count, suggested = len(history.calibrations), f"{history.suggested_stability():.2g}"
+            shows = f"its {count} calibrations show {suggested} mg in a day, which counts"
+            if count == 2:
+                shows = f"its whole change between two calibrations counts, which suggests {suggested}"
+            shows = "no wandering counts" if count == 1 else shows
+            say(f"note: how far {serial} wanders is not stated (--stability): {shows}")
         origin = {
             "calibration": ", ".join(calibration.name for calibration in history.calibrations),
             "sha256": ", ".join(sha256_of(calibration.path) for calibration in history.calibrations),

@@ -61,7 +61,7 @@ class ApplyOptions(TypedDict, total=False):
         Option("The sensor, where no name (S_x) in the log says it.", "S", _SEASON, check=require_text_or_none),
     ]
     start: Annotated[str | date | None, Option("When the log's time is 0, such as 2026-05-01T12:00Z.", "TIME", _SEASON)]
-    stability: Annotated[float | None, _size("Wander of the offset in a day, mg [half of its changes].", "MG", _SEASON)]
+    stability: Annotated[float | None, _size("Wander of the offset in a day, mg [as its changes show].", "MG", _SEASON)]
     magnetometer: Annotated[
         Sequence[str] | str, Option("Columns of the field: adds heading, from north.", "MX,MY,MZ", _EARTH, default=())
     ]
