@@ -12,6 +12,7 @@ from tiltcal.bench.judgement import Judgement
 from tiltcal.bench.messages import Lost, WriteQuestion
 from tiltcal.bench.operators import NAMED, Operator, Program, PythonObject, VirtualJig
 from tiltcal.bench.options import MeasureOptions
+from tiltcal.bench.ramp import RampLegs
 from tiltcal.bench.session import Session
 from tiltcal.bench.settle import Unsettled
 from tiltcal.errors import (
@@ -24,7 +25,7 @@ from tiltcal.errors import (
     TiltcalError,
     UsageError,
 )
-from tiltcal.files.procedure import Rotation
+from tiltcal.files.procedure import Ramp, Rotation
 from tiltcal.journal.calibrations import SessionResult, calibrations_of
 from tiltcal.journal.lines import read_journal
 
@@ -144,10 +145,11 @@ def run_session(session: Session, operator: Operator) -> SessionResult:
 
             TurningStage(session, steps).turn()
         judgement = Judgement(session, operator)
+        take = RampLegs(session, steps).take if isinstance(steps, Ramp) else session.attempt
         while not _measured(session, judgement):
             position = session.talk.next
             try:
-                session.attempt(position)
+                take(position)
             except JournalError:
                 raise
             except (Unsettled, InputError, HardwareError) as error:

@@ -9,14 +9,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import replace
-from math import nan
 from pathlib import Path
 from statistics import median
 from typing import Any
 
 from tiltcal.bench.checks import Expectations, far_off, require_few, require_no_turns
 from tiltcal.bench.conversation import Conversation
-from tiltcal.bench.devices import RECOVERY, Recorder, SensorSet, VirtualBench, connected, probe_devices
+from tiltcal.bench.devices import Recorder, SensorSet, VirtualBench, connected, probe_devices
 from tiltcal.bench.guidance import SensorGuidance
 from tiltcal.bench.messages import (
     Accepted,
@@ -33,9 +32,7 @@ from tiltcal.bench.operators import Operator
 from tiltcal.bench.reference import require_steady
 from tiltcal.bench.settle import NEAR, Timed, Unsettled, Window, movement, wait_until_still
 from tiltcal.drivers.bus.clock import session_clock
-from tiltcal.errors import SensorError, UsageError
 from tiltcal.files.calibration import CalibrationRecord
-from tiltcal.files.moments import moment_after, stamp
 from tiltcal.files.procedure import FreePositions, Position, Ramp
 from tiltcal.journal.header import Setup
 from tiltcal.journal.lines import POSITION, RESUMED, Journal, JournalWriter, OperatorAnswer, read_journal
@@ -49,8 +46,6 @@ from tiltcal.printable import in_minutes
 NUDGED = 0.002  # a change while sampling above this is a sensor that was touched, g (0.1° near level)
 NUDGED_SIGMAS = 6.0
 """And it must be this many standard uncertainties: a refusal costs the operator time, a look while settling none."""
-
-CHANGE = 0.5  # °C; a ramp's temperature that changes by less within the patience of the procedure has stopped
 
 
 class Session:
@@ -159,13 +154,10 @@ class Session:
 
     def attempt(self, position: Position) -> None:
         """Ask for a position, measure it, and have it reviewed."""
-        if isinstance(ramp := self.setup.steps, Ramp):
-            self._take_leg(ramp, position)
-            return
-        answer = self._ask_for(position)
+        answer = self.ask_for(position)
         if answer.answer != "ready":
             return
-        asked, position = position, self._named(answer, position)
+        asked, position = position, next((one for one in self.recorded.open if one.name == answer.position), position)
         actual = as_set(position, answer)
         if actual != asked:
             self._hold(actual)
@@ -206,11 +198,7 @@ class Session:
             guides = {serial: reading.guidance for serial, reading in readings.items()}
             self.accept(result, {"lines": [first, last], **({"without": without} if without else {})}, guides)
 
-    def _named(self, answer: OperatorAnswer, position: Position) -> Position:
-        """Return the open position that an answer names in place of the one that was asked for."""
-        return next((one for one in self.recorded.open if one.name == answer.position), position)
-
-    def _ask_for(self, position: Position) -> OperatorAnswer:
+    def ask_for(self, position: Position) -> OperatorAnswer:
         """Ask for a position."""
         self.talk.expectations = Expectations(
             self.setup, self.sensors.sensors, self.accepted, self.judged, self.recorded.choosable, self._alike
@@ -265,10 +253,6 @@ class Session:
         serial, first = next(iter(values.items()))
         off = offs.get(serial)
         self.talk.tell(Accepted(position=result.position.name, **first, off=off, reference=reference, sensors=several))
-
-    def now(self) -> str:
-        """Return the time of the last event as a stamp."""
-        return stamp(moment_after(self.setup.began, self.recorder.now_ns()))
 
     def _hold(self, position: Position) -> None:
         """Bring the virtual jig, where there is one, into a position."""
@@ -337,56 +321,7 @@ class Session:
         readings = [sample for _, sample in samples]
         require_no_turns(readings, models)
         result = result_of(
-            sensors, actual, asked, readings, self.now(), typed=typed, left_out=left_out,
-            takes=self.recorded.takes(asked.name), steps=self.recorded.steps,
+            sensors, actual, asked, readings, self.setup.stamp_after(self.recorder.now_ns()), typed=typed,
+            left_out=left_out, takes=self.recorded.takes(asked.name), steps=self.recorded.steps,
         )  # fmt: skip
         return result.with_steps(self.recorded.steps)
-
-    def _take_leg(self, ramp: Ramp, position: Position) -> None:
-        """Ask for a turning point of a ramp, and sample without a break until it is reached.
-
-        The operator answers at once: what counts is the way there.
-        """
-        answer = self._ask_for(position)
-        if answer.answer != "ready":
-            raise Unsettled(ramp.once)
-        # A temperature that is typed is that of one moment; the thermometer is read all the time.
-        actual = replace(as_set(position, answer), temperature=position.temperature)
-        if self.accepted and actual.gravity != self.accepted[0].position.gravity:
-            raise Unsettled("a ramp has one attitude: leave the sensor as it lies")
-        first = self.leg[0].line if self.leg else self.recorder.line + 1
-        samples = [*(one.readings for one in self.leg), *self._sampled_on_the_way(ramp, position)]
-        last = self.recorder.line
-        for sensor in self.sensors.sensors:
-            railed = [why for sample in samples if (why := at_rail(sample[sensor.serial], sensor.wired))]
-            if railed:
-                require_few(len(railed), len(samples), railed[-1])
-        result = result_of(self.sensors.sensors, actual, position, samples, self.now())
-        self.leg = []
-        self.accept(result, {"lines": [first, last]})
-
-    def _sampled_on_the_way(self, ramp: Ramp, position: Position) -> list[Sample]:
-        """Sample until the temperature of a position is reached, or changes no more; SensorError as in a position."""
-        samples: list[Sample] = []
-        wanted, since, before = position.temperature or 0.0, 0, nan
-        while True:
-            try:
-                samples.append(self.sensors.read(fresh=True))
-            except SensorError as error:
-                self.sensors.failed(error, needed=True)
-                self.clock.sleep(RECOVERY)
-                continue
-            self.sensors.succeeded()
-            now_ns, temperature = self.recorder.now_ns(), next(iter(samples[-1].values())).temperature
-            if temperature is None:
-                raise UsageError(
-                    "a ramp needs a thermometer that is read: the sensor reports no temperature, and the bench has none"
-                )
-            if abs(temperature - wanted) <= ramp.within and len(samples) > 1:
-                return samples
-            if not abs(temperature - before) < CHANGE:
-                since, before = now_ns, temperature
-            elif now_ns - since > ramp.patience * 1e9:
-                return samples
-            self.talk.look(position, samples[-1], f"at {temperature:.1f} °C, on the way to {wanted:g} °C")
-            self.clock.sleep(ramp.interval)

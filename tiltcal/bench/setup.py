@@ -111,8 +111,7 @@ def new_setup(
         )
         for sensor, output in zip(bench.sensors, outputs, strict=True)
     )
-    thermometer = thermometer_of(bench)
-    reference = reference_of(bench)
+    thermometer, reference = thermometer_of(bench), reference_of(bench)
     virtual = all(device.simulated for device in (*sensors, *filter(None, (thermometer, reference))))
     setup = Setup(
         software=f"tiltcal {tiltcal.__version__}",

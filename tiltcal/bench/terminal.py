@@ -13,7 +13,6 @@ from types import BuiltinFunctionType
 from typing import Any, TextIO
 
 from rich.console import Console
-from rich.text import Text
 
 from tiltcal.bench.guidance import COLUMNS, UNCALIBRATED, SensorGuidance, note_on
 from tiltcal.bench.messages import (
@@ -33,9 +32,9 @@ from tiltcal.bench.messages import (
     rows_of,
 )  # fmt: skip
 from tiltcal.bench.operators import LOOK, LineReader, Operator, in_words
+from tiltcal.bench.screen import Screen
 from tiltcal.bench.typed import number_in
 from tiltcal.errors import InputError, Stopped
-from tiltcal.printable import printable
 
 ENTER, ESCAPE = "\n", "\x1b"
 REST = 0.05  # time within which the rest of an escape sequence arrives, s
@@ -43,31 +42,9 @@ REST = 0.05  # time within which the rest of an escape sequence arrives, s
 LIVE_PAUSE = 0.4
 """Seconds between live readings: fast enough to set an angle by, slow enough for the journal of a long night."""
 
-CLEAR, UP, BELL = "\r\x1b[2K", "\x1b[1A", "\a"
 
 STYLES = {"accepted": "green", "refused": "bold red", "lost": "bold red", "held": "yellow"}
 """The style of an event's lines."""
-
-HELP = {
-    "Enter measure": "wait until the reading is still, then take the samples",
-    "Enter accept": "the position counts",
-    "Enter write": "write the calibration files",
-    "a angle set": "type the angle that was really set, where it is not the one asked for",
-    "t temperature": "type the temperature, where no thermometer is read",
-    "b back": "give up the position before this one, and take that again",
-    "r redo": "take this position again",
-    "p another position": "type the name of the one to take next; one that was accepted is withdrawn",
-    "s stop and use the turns so far": "match the pairs on the turns that were made",
-    "q stop and keep": "stop; what was accepted is kept, and --resume goes on",
-    "n stop and keep": "stop without the files; --resume asks again",
-}
-"""What the keys do, by their hints."""
-
-READING_HELP = (
-    "each axis: present angle, in brackets its difference from the target, and ok where it is near enough; "
-    "of three axes the angle from the direction asked for, and how far two sides are too high; "
-    f"{UNCALIBRATED}: they are by the data sheet and the positions before"
-)
 
 
 class LineKeys:
@@ -178,7 +155,7 @@ def open_terminal(stack: ExitStack, *, plain: bool) -> Terminal:
     return terminal
 
 
-class Terminal(Operator):
+class Terminal(Screen, Operator):
     """Asks a person.
 
     Parameters
@@ -188,11 +165,9 @@ class Terminal(Operator):
     """
 
     def __init__(self, console: Console, keys: LineKeys | TerminalKeys, *, live: bool) -> None:
-        self._console = console
+        super().__init__(console, live=live)
         self._keys = keys
-        self._live = self.watches = live
-        self._live_rows = 0
-        self._offered: list[str] = []
+        self.watches = live
         self._positions: Sequence[str] = []
         self._sensors: Mapping[str, ShownSensor] = {}
         self._remaining = ""
@@ -352,50 +327,6 @@ class Terminal(Operator):
                 return key
             self._explain(key)
 
-    def _say(self, text: str, style: str = "", end: str = "\n") -> None:
-        """Print a line as it stands: what comes from a file is no markup, and holds no escape sequence."""
-        self.clear()
-        self._console.print(Text(printable(text).rstrip(" "), style=style), end=end)
-
-    def _ring(self) -> None:
-        if self._live:
-            self._console.file.write(BELL)
-
-    def _hint(self, *choices: str) -> None:
-        line, self._offered = Text("  "), list(choices)
-        for choice in (*choices, "? help"):
-            key, _, meaning = choice.partition(" ")
-            line.append(key, style="bold").append(f" {meaning}  ", style="dim")
-        self._console.print(line)
-
-    def _explain(self, key: str | None) -> None:
-        """Say what the keys do, or name them, once; the one that was pressed may have no name, such as an arrow."""
-        keys = [choice.partition(" ")[0] for choice in self._offered]
-        if key == "?":
-            for name, choice in zip(keys, self._offered, strict=True):
-                self._say(f"  {name:<6} {HELP.get(choice, choice.removeprefix(name).strip())}")
-            self._say(f"  {READING_HELP}")
-        elif keys:
-            self._say(f"  not one of the keys: {', '.join(keys)}")
-            self._offered = []
-
-    def _overwrite(self, lines: list[str]) -> None:
-        """Print lines that the next ones overwrite, as many and as much of each as there is room for."""
-        self.clear()
-        room = self._console.width - 3
-        rows = [f"  {line}" if len(line) <= room else f"  {line[: room - 2]} …" for line in map(printable, lines)]
-        rows = rows[-self._console.height + 1 :]
-        self._live_rows = len(rows)
-        self._console.file.write("\n".join(rows))
-        self._console.file.flush()
-
-    def clear(self) -> None:
-        """Empty the lines of the live reading, which whatever is printed next would be appended to."""
-        if self._live_rows:
-            self._console.file.write(CLEAR + (UP + CLEAR) * (self._live_rows - 1))
-            self._console.file.flush()
-            self._live_rows = 0
-
     def _show(self, look: Look) -> None:
         """Show the readings of all sensors, a row each, below their targets: what a row has no room for is left out."""
         readings, rows, targets = look.readings, [], ""
@@ -414,12 +345,6 @@ class Terminal(Operator):
             rows.append(self._fitting(f"{serial:<{width}}  {cells}".rstrip(), warmth, f"{raw} {unit}"))
         rows.append(look.why or f"live, {note_on([reading.guidance for reading in readings.values()])}")
         self._overwrite(rows)
-
-    def _fitting(self, row: str, *more: str) -> str:
-        """Return a row with as many further parts as there is room for."""
-        for part in filter(None, more):
-            row = f"{row}  {part}" if len(row) + len(part) + 5 <= self._console.width else row
-        return row.rstrip()
 
     def _typed(self, what: str, kind: str, count: int = 1) -> list[float]:
         """Ask until as many numbers of a kind are typed; none where the line is empty."""

@@ -11,7 +11,7 @@ from typing import Any
 
 from tiltcal.errors import JournalError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity, dump_calibration
-from tiltcal.files.moments import moment_after, stamp
+from tiltcal.files.moments import stamp
 from tiltcal.files.pair import PairRecord
 from tiltcal.files.procedure import Rotation
 from tiltcal.files.results import (
@@ -70,7 +70,7 @@ def calibrations_of(journal: Journal) -> SessionResult:
         "operator": setup.person or setup.operator,
         "software": setup.software,
         "started": stamp(setup.began),
-        "ended": stamp(moment_after(setup.began, session.playback.now_ns)),
+        "ended": setup.stamp_after(session.playback.now_ns),
         "journal": FileRecord(name=setup.journal, sha256=journal.sha256),
         "references": setup.references,
     }

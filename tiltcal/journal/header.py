@@ -22,7 +22,7 @@ from tiltcal.files.bench import BenchFile, BenchSensor
 from tiltcal.files.calibration import BaseFile
 from tiltcal.files.document import document_of
 from tiltcal.files.machine import Machine
-from tiltcal.files.moments import moment
+from tiltcal.files.moments import moment, moment_after, stamp
 from tiltcal.files.procedure import Procedure, Rotation, procedure_in
 from tiltcal.files.record import AboveZero, FromOne, FromZero, Number, Record, Text, about, plain
 from tiltcal.files.results import Reference, Standard
@@ -112,6 +112,10 @@ class Setup(Record, kw_only=True, dict=True):
     def began(self) -> datetime:
         """When the session began, UTC."""
         return datetime.fromisoformat(self.started)
+
+    def stamp_after(self, now_ns: int) -> str:
+        """Return the time so many nanoseconds after the begin as a stamp."""
+        return stamp(moment_after(self.began, now_ns))
 
     @property
     def devices(self) -> tuple[BenchDevice, ...]:

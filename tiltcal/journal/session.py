@@ -6,7 +6,7 @@ Nothing of the settling is judged a second time: an accepted position names the 
 from __future__ import annotations
 
 from array import array
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Mapping
 from dataclasses import replace
 from math import nan
@@ -16,14 +16,14 @@ import numpy as np
 
 from tiltcal.core.model import Array
 from tiltcal.core.samples import ReadingStep
-from tiltcal.errors import InputError, JournalError
-from tiltcal.files.moments import moment_after, stamp
-from tiltcal.files.procedure import Position, Ramp, Rotation
+from tiltcal.errors import JournalError
+from tiltcal.files.procedure import Rotation
 from tiltcal.journal.header import BenchDevice
 from tiltcal.journal.lines import ANSWER, POSITION, RESUMED, AcceptedPosition, Event, Journal, OperatorAnswer
 from tiltcal.journal.playback import Playback, RecordedSample
 from tiltcal.journal.positions import PositionResult, ReadingSpans, as_set, at_rail, result_of
 from tiltcal.journal.reference import set_by
+from tiltcal.journal.taken_positions import TakenPositions
 
 if TYPE_CHECKING:
     from tiltcal.core.ramp.record import RampRecord
@@ -31,30 +31,23 @@ if TYPE_CHECKING:
 BySerial = Mapping[str, Mapping[str, Any]]
 DIGITS = 1e-9  # part of its size by which a mean may differ from the one that was accepted
 
-FIRST = "this is the first position: there is none before it to go back to"
 
-
-class RecordedSession:
+class RecordedSession(TakenPositions):
     """What a journal holds of a session.
 
-    ``accepted`` are the positions in the order of time, and ``last`` is the last of all, be it withdrawn; ``leg`` are
-    the samples of a ramp since then, ``turned`` the end of a rotation. ``spans`` are what the readings span, ``steps``
-    what they have shown of the steps that no model states.
+    ``leg`` are the samples of a ramp since the last position, ``turned`` is the end of a rotation. ``spans`` are what
+    the readings span, ``steps`` what they have shown of the steps that no model states.
     """
 
     def __init__(self, journal: Journal) -> None:
         self.journal = journal
         self.playback = Playback(journal)
-        self.setup = self.playback.setup
+        super().__init__(self.playback.setup)
         self.sensors = {sensor.serial: sensor for sensor in self.setup.sensors}
-        self.accepted: list[PositionResult] = []
-        self.last: PositionResult | None = None
-        self._again: Counter[str] = Counter()
         self.leg: list[RecordedSample] = []
         self.turned: AcceptedPosition | None = None
         self.spans = ReadingSpans(self.setup.sensors)
         self._channels = self.setup.stage_channels() if isinstance(self.setup.steps, Rotation) else None
-        self._ramps = isinstance(self.setup.steps, Ramp)
         self._rows = array("d")
         self._breaks = 0
         self._ramp: list[RecordedSample] = []
@@ -79,59 +72,6 @@ class RecordedSession:
         if self._channels is not None:
             return self.turned is not None or self.journal.end is not None
         return not self.open
-
-    @property
-    def open(self) -> list[Position]:
-        """The positions that are still to be taken, in the procedure's order."""
-        done = {result.position.name for result in self.accepted}
-        return [position for position in self.setup.steps.positions if position.name not in done]
-
-    def takes(self, name: str) -> int:
-        """Return how often a position was taken, be it one that is taken now."""
-        return 1 + self._again[name]
-
-    def accept(self, result: PositionResult) -> None:
-        """Take an accepted position."""
-        self.accepted.append(result)
-        self.last = result
-
-    @property
-    def choosable(self) -> list[Position]:
-        """The open positions that may be taken next: those of the first one's temperature, heading and stage."""
-        alike = [(one.temperature, one.heading or 0.0, one.stage) for one in self.open]
-        fixed = bool(self.setup.steps.once)
-        return self.open[:1] if fixed else [p for p, one in zip(self.open, alike, strict=True) if one == alike[0]]
-
-    def require_possible(self, answer: OperatorAnswer, asked: str) -> None:
-        """Refuse, with an InputError, to go back, to take a position again or to choose one where that cannot be."""
-        steps, names = self.setup.steps, [result.position.name for result in self.accepted]
-        if answer.answer in ("again", "back") and self._ramps:
-            raise InputError(steps.once)
-        if answer.answer == "back" and not names:
-            raise InputError(FIRST)
-        chosen = answer.position
-        if not chosen or chosen == asked or chosen in [one.name for one in self.choosable]:
-            return
-        if answer.answer == "again" and steps.once:
-            raise InputError(steps.once)
-        if answer.answer == "again" and chosen in names:
-            return
-        if chosen in [one.name for one in self.open]:
-            raise InputError(
-                f"{chosen} has another temperature, heading or stage angle: it comes in the procedure's order"
-            )
-        there = f"accepted are {', '.join(names)}" if names else "none is accepted yet"
-        raise InputError(f"{chosen!r} is no position that could be taken now; {there}")
-
-    def withdraw(self, answer: OperatorAnswer) -> None:
-        """Withdraw the position that is taken ``again``, or of ``back`` the one that was accepted last in time."""
-        if answer.answer == "again":
-            kept = [result for result in self.accepted if result.position.name != answer.position]
-            self._again[answer.position] += len(self.accepted) - len(kept)
-            self.accepted[:] = kept
-        # A session refuses to go back over the leg of a ramp, and before the first position.
-        elif answer.answer == "back" and not self._ramps:
-            del self.accepted[-1:]
 
     @property
     def turning(self) -> bool:
@@ -199,7 +139,7 @@ class RecordedSession:
             position,
             asked,
             [sample.readings for sample in samples],
-            stamp(moment_after(self.setup.began, samples[-1].now_ns)),
+            self.setup.stamp_after(samples[-1].now_ns),
             typed=typed,
             left_out=noted.left_out,
             takes=self.takes(asked.name),
