@@ -34,7 +34,7 @@ def dry_run(setup: Setup, say: Callable[[str], None]) -> None:
             stack.callback(mover.close)
             mover.require_there()
         for number, position in enumerate(positions, start=1):
-            targets, before_ns = wanted(vars(position), carrier), clock.now_ns()
+            targets, before_ns = wanted(position, carrier), clock.now_ns()
             by_hand |= {axis for axis, angle in targets.items() if axis not in used and angle}
             reached: dict[str, float] = {}
             try:

@@ -62,17 +62,18 @@ def gravity_of(angles: Angles, carrier: str) -> Vector:
     return (carrying, carried, z) if carrier == "x" else (carried, carrying, z)
 
 
-def wanted(asked: Mapping[str, Any], carrier: str) -> dict[str, float]:
+def wanted(asked: Position | PositionQuestion, carrier: str) -> dict[str, float]:
     """Return what a position says of each axis, degrees or °C."""
-    others = {axis: asked[axis] for axis in ("stage", TEMPERATURE) if asked.get(axis) is not None}
-    return {**angles_of(asked["gravity"], carrier), "heading": asked["heading"] or 0.0, **others}
+    others = {"stage": asked.stage, TEMPERATURE: asked.temperature}
+    stated = {axis: n for axis, n in others.items() if n is not None}
+    return {**angles_of(asked.gravity, carrier), "heading": asked.heading or 0.0, **stated}
 
 
 def require_reachable(machines: Mapping[str, Machine], positions: Sequence[Position]) -> None:
     """Refuse positions that are beyond the limits of a machine, with the way on which it approaches them."""
     for name, machine in machines.items():
         for position in positions:
-            targets = wanted(vars(position), machine.carrier)
+            targets = wanted(position, machine.carrier)
             for axis, (low, high) in machine.limits.items():
                 for back in (0.0, machine.approach):
                     if not low <= (angle := targets.get(axis, low + back) - back) <= high:
@@ -202,7 +203,7 @@ class Machines:
         self._failures = 0
         self._asked: PositionQuestion | None = None
         self._asked_by_hand = False
-        left = [self._left_to_hand(vars(position)) for position in steps.positions]
+        left = [self._left_to_hand(position) for position in steps.positions]
         nothing = self._carrier and not any(one.get(TEMPERATURE) is not None or any(one.values()) for one in left)
         self._by_hand = left[0] if nothing else None
         """What was last set by hand."""
@@ -261,14 +262,12 @@ class Machines:
 
     def _position(self, question: PositionQuestion) -> object:
         """Move every machine, have the rest done by hand, and return what was read back."""
-        targets = {
-            axis: n for axis, n in wanted(question.as_data(), self._carrier or "x").items() if axis in self._limits
-        }
+        targets = {axis: n for axis, n in wanted(question, self._carrier or "x").items() if axis in self._limits}
         reached = self._moved(targets, question.position)
         if reached and question is not self._asked:
             self._asked = question
             self._person.tell(Moved(question.position, f"{question.position}: {in_words(reached)}"))
-        left = self._left_to_hand(question.as_data())
+        left = self._left_to_hand(question)
         self._asked_by_hand = left != self._by_hand or question.position in self._contradicting
         self.most_attempts = self._person.most_attempts if self._asked_by_hand else REFUSALS
         if not self._asked_by_hand:
@@ -311,7 +310,7 @@ class Machines:
         tilt = {axis: round(degrees(asin(gravity[place])), DIGITS) for place, axis in enumerate(TILTS)}
         return {**answer, "tilt": {axis: tilt[axis] for axis in TILTS if axis in self._limits}}
 
-    def _left_to_hand(self, asked: Mapping[str, Any]) -> dict[str, float]:
+    def _left_to_hand(self, asked: Position | PositionQuestion) -> dict[str, float]:
         """Return what no machine does."""
         return {axis: n for axis, n in wanted(asked, self._carrier or "x").items() if axis not in self._limits}
 

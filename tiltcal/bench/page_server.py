@@ -78,7 +78,7 @@ class PageState:
         self._session = secrets.token_hex(4)
         self._fields: dict[str, Any] = {"session": self._session, "question": None}
         self._version = self._questions = 0
-        self._answer: dict[str, Any] | None = None
+        self._answer: dict[str, object] | None = None
         self.closed = False
 
     def show(self, **fields: object) -> None:
@@ -87,27 +87,27 @@ class PageState:
             self._fields.update(fields)
             self._note()
 
-    def ask(self, question: Mapping[str, Any]) -> None:
+    def ask(self, question: Mapping[str, object]) -> None:
         """Show a question, with a number that no question has had."""
         self._questions += 1
         self._answer = None
         self.show(question={**question, "id": f"{self._session}-{self._questions}"})
 
-    def withdraw(self) -> dict[str, Any] | None:
+    def withdraw(self) -> dict[str, object] | None:
         """Ask no more; return an answer that has come."""
         with self._changed:
             self._fields["question"] = None
             self._note()
             return self.wait(0.0)
 
-    def wait(self, seconds: float) -> dict[str, Any] | None:
+    def wait(self, seconds: float) -> dict[str, object] | None:
         """Return the answer to the question, which is then asked no more; None where there is none in time."""
         with self._changed:
             self._changed.wait_for(lambda: self._answer is not None, seconds)
             answer, self._answer = self._answer, None
             return answer
 
-    def take(self, said: Mapping[str, Any]) -> bool:
+    def take(self, said: Mapping[str, object]) -> bool:
         """Take an answer from a tab; return whether its question is asked at the moment."""
         with self._changed:
             question = self._fields["question"]
@@ -260,7 +260,7 @@ class PageRequest(BaseHTTPRequestHandler):
         else:
             self._take(said)
 
-    def _take(self, said: dict[str, Any]) -> None:
+    def _take(self, said: dict[str, object]) -> None:
         """Take an answer; what was typed in it and cannot be read is refused here, where it can be typed again."""
         try:
             taken = self.server.state.take(with_numbers(said))

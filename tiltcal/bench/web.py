@@ -141,7 +141,7 @@ class WebOperator(Operator):
         if begins:
             self._asked = question
             self._show_question(question)
-        answer: dict[str, Any] | None
+        answer: dict[str, object] | None
         if free := self._free_answer(question):
             answer = self._state.withdraw() or {"answer": free}
         elif isinstance(question, Poll):
@@ -206,7 +206,7 @@ class WebOperator(Operator):
     def _show_question(self, question: Question) -> None:
         """Show what is asked, in place of what was asked before."""
         positions = self._begin.positions
-        fields: dict[str, Any] = {"conditions": [], "samples": None, "soak": None}
+        fields: dict[str, object] = {"conditions": [], "samples": None, "soak": None}
         match question:
             case PositionQuestion():
                 self._target = question.up
@@ -258,7 +258,7 @@ class WebOperator(Operator):
             guide=self._guide, table=self._table(readings), doing=doing, samples=samples, soak=seconds, **_moment()
         )
 
-    def _guided(self, readings: Readings) -> dict[str, Any] | None:
+    def _guided(self, readings: Readings) -> dict[str, object] | None:
         """Return what the page draws of readings and the position that is set; None where there is no position.
 
         Where nothing predicts a reading, as of attitudes that nobody sets, there is no target.
@@ -296,7 +296,7 @@ class WebOperator(Operator):
         x, y = sines.get("x", 0.0), sines.get("y", 0.0)
         return x, y, sines.get("z", sqrt(max(1.0 - x * x - y * y, 0.0)))
 
-    def _sphere(self, accepted: Sequence[str]) -> dict[str, Any]:
+    def _sphere(self, accepted: Sequence[str]) -> dict[str, object]:
         """Return the directions that are met and those that are missing; of free positions the share of the sphere."""
         if not self._begin.free:
             dots = [[at, name in accepted] for name, at in self._begin.attitudes.items()]
@@ -348,7 +348,7 @@ class WebOperator(Operator):
             return "reads as the position before: a sensor that cannot see the turn asks a person: press Measure"
         return "" if guide["still"] >= 1.0 else "waits until it stands still"
 
-    def _table(self, readings: Readings) -> dict[str, Any]:
+    def _table(self, readings: Readings) -> dict[str, object]:
         """Return the table of readings, or of the means of a review."""
         rows = list(rows_of(readings, self._begin.sensors))
         width = max((len(cells) for cells, _ in rows), default=1)
@@ -366,10 +366,17 @@ class WebOperator(Operator):
         return {"sounds": self._sounds}
 
 
-def _end(*, finished: bool) -> dict[str, Any]:
+def _end(*, finished: bool) -> dict[str, object]:
     """Return what the page shows at the end: nothing that only a running session gives."""
     said = "Finished. You may close this page." if finished else "Stopped. The terminal says how to go on."
-    empty: dict[str, Any] = {"guide": None, "table": None, "live": {}, "samples": None, "soak": None, "remaining": None}
+    empty: dict[str, object] = {
+        "guide": None,
+        "table": None,
+        "live": {},
+        "samples": None,
+        "soak": None,
+        "remaining": None,
+    }
     return {"step": "the session has ended", "prompt": said, "conditions": [], "doing": "", **empty}
 
 
