@@ -414,15 +414,24 @@ def _pattern_of(lines: Sequence[str], later: Sequence[int]) -> Dialect | None:
     if 2 * sum(map(len, shapes.values())) <= len(later):
         return None
     patterns = {shape: _common(lines, rows) for shape, rows in shapes.items()}
+    patterns = {
+        shape: pattern
+        for shape, pattern in patterns.items()
+        if any(pattern.cells(lines[row].strip()) is not None for row in shapes[shape])
+    }
+    if not patterns:
+        return None
 
     def merit(shape: tuple[str, ...]) -> tuple[int, int]:
         axes = {_means(name) for name in _names_of(patterns[shape])} & {*AXES}
         return len(axes), len(shapes[shape])
 
-    best = max(shapes, key=merit)
+    best = max(patterns, key=merit)
     pattern, names = patterns[best], _names_of(patterns[best])
     first = next(row for row, line in enumerate(lines) if pattern.cells(line.strip()) is not None)
-    others = tuple(patterns[shape] for shape in shapes if shape != best and (len(shapes[shape]) > 1 or len(later) < 9))
+    others = tuple(
+        patterns[shape] for shape in patterns if shape != best and (len(shapes[shape]) > 1 or len(later) < 9)
+    )
     listed = _distinct([name or str(place) for place, name in enumerate(names, 1)])
     behind = [found[1] if (found := _BEHIND.match(text)) and is_unit(found[1]) else "" for text in pattern.texts[1:]]
     if behind and not any(behind[:-1]):  # one unit behind all of them

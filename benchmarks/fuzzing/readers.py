@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Sequence
 from contextlib import suppress
 from functools import cache
+from itertools import islice
 from pathlib import Path
 from random import Random
+from time import perf_counter
 
 from fuzzing.damage import damaged_bytes, damaged_journal, damaged_json, damaged_table, damaged_text, damaged_yaml
 from fuzzing.inputs import BENCH, CALIBRATIONS, JOURNALS, VCD, golden, shipped, target
@@ -107,6 +110,44 @@ def answer(draw: Random) -> None:
     for line in (way(draw, text.encode()), damaged_json(draw, text)):
         with suppress(TiltcalError):
             understood(parsed(line.decode(errors="replace")))
+
+
+@target(share=100)
+def head(draw: Random) -> None:
+    """The first lines of a log of any kind: what is read are the numbers that csv and float read, within 2 s."""
+    from support.kinds_of_logs import KINDS, rows
+
+    from tiltcal.dialect import kind_of
+    from tiltcal.logs.formats import open_log
+
+    before, row, encoding = KINDS[draw.choice(list(KINDS))]
+    some = islice(rows(), draw.choice((0, 1, 3, ROWS)))
+    text = before + "".join(f"{row(one)}\n" for one in some)
+    if draw.random() < 0.5:
+        Path("log.txt").write_bytes(damaged_bytes(draw, text.encode(encoding)))
+    else:
+        Path("log.txt").write_bytes(damaged_table(draw, text))
+    began = perf_counter()
+    with open_log("log.txt", skip_bad_rows=True) as log:
+        found = list(log.rows(range(len(log.names))))
+        if log.encoding == "UTF-8":
+            lines = Path("log.txt").read_bytes().decode(errors="replace").removeprefix("\ufeff").split("\n")
+            dialect, cells = log.dialect, []
+            for line in lines[log.dialect.first :]:
+                line = line.removesuffix("\r")
+                if line and not dialect.no_row(line):
+                    with suppress(csv.Error):
+                        cells.append(next(csv.reader([dialect.fields_of(line)], delimiter=dialect.separator), []))
+                        continue
+                    cells.append([])
+            values = [[value for block in found for value in block.values[k].tolist()] for k in range(len(log.names))]
+            for number, texts in enumerate(cells):
+                for column, text in zip(values, texts, strict=False):
+                    text = dialect.with_point(text.strip(" \t"))
+                    if column[number] == column[number] and kind_of(text) == "number" and float(text) != column[number]:
+                        raise AssertionError(f"row {number}: {text!r} was read as {column[number]}")
+    if perf_counter() - began > 2.0:
+        raise AssertionError(f"it took {perf_counter() - began:.1f} s")
 
 
 # What a device says

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support import ROOT
 from support.command import tiltcal
 from support.kinds_of_logs import KINDS, OFFSET, READINGS, UNNAMED, write_kind
 
@@ -34,6 +35,11 @@ def test_a_kind_is_probed_fitted_and_applied(kind: str, tmp_path: Path) -> None:
     assert np.abs(np.array(offsets) - OFFSET).max() < 1e-3
     summary = tiltcal("apply", "a.yaml", log, "-o", "out.parquet", "--json", cwd=tmp_path)
     assert json.loads(summary.stdout)["rows"] == len(READINGS), summary.stderr
+
+
+def test_the_page_on_logs_names_every_kind() -> None:
+    page = (ROOT / "docs" / "how-to" / "my-log.md").read_text(encoding="utf-8")
+    assert [kind for kind in KINDS if kind not in page] == []
 
 
 @pytest.mark.parametrize(
