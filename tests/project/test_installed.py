@@ -72,6 +72,8 @@ def test_the_wheel_holds_tiltcal_alone(wheel: Path) -> None:
     ]
     assert {inside_tiltcal(path.relative_to(ROOT)).as_posix() for path in wanted} <= held
     assert "tiltcal/py.typed" in held
+    entries = ZipFile(wheel).read(f"tiltcal-{tiltcal.__version__}.dist-info/entry_points.txt").decode()
+    assert "[pytest11]\ntiltcal = tiltcal.pytest_plugin" in entries
 
 
 def inside_tiltcal(path: Path) -> Path:
