@@ -68,6 +68,16 @@ def test_the_same_readings_twice_are_refused_where_no_sensitivity_is_determined(
         calibrate([MeasuredSensor(SENSOR, measurements)], reversal, BenchUncertainty(0.05))
 
 
+def test_the_one_face_without_which_the_others_agree_is_named_alone() -> None:
+    """y-down was laid on +x; hand-placed faces are off by 0.2° or so, and no jig is stated."""
+    faces = np.vstack([np.eye(3), -np.eye(3)])[[0, 3, 1, 4, 2, 5]] + np.random.default_rng(1).normal(0.0, 0.004, (6, 3))
+    faces[3] = 1.0, 0.0, 0.0
+    table = {"position": ["x-up", "x-down", "y-up", "y-down", "z-up", "z-down"]}
+    table |= {axis: (0.05 + 9.8 * faces[:, k]).tolist() for k, axis in enumerate("xyz")}
+    with pytest.raises(EstimateError, match=r"^y-down is wrong: the residuals are larger than any error"):
+        tiltcal.fit("six-face", table, serial="S-1", unit="m/s2")
+
+
 def test_a_position_at_the_rail_is_refused() -> None:
     """The SCA100T-D02 counts from 0 to 2047; a reading there may stand for any tilt beyond."""
     for reading in (2047.0, 14340.0):
