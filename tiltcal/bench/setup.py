@@ -20,7 +20,7 @@ from tiltcal.files.calibration import BaseFile
 from tiltcal.files.device import DeviceFile
 from tiltcal.files.document import Document
 from tiltcal.files.moments import stamp
-from tiltcal.files.procedure import PositionProcedure, Positions, Procedure, Rotation, Verification
+from tiltcal.files.procedure import PositionProcedure, Positions, Procedure, Rotation, VerifyingPositions
 from tiltcal.files.record import plain
 from tiltcal.journal.header import TYPICAL, BenchDevice, Settings, Setup, thermometer_of
 from tiltcal.stated_arguments import require_printable
@@ -144,7 +144,7 @@ def new_setup(
 def _require_suitable(setup: Setup) -> None:
     """Refuse a procedure that the devices cannot carry out, and curves that have no source or are measured."""
     steps = setup.steps
-    sets = isinstance(steps, Positions | Verification)
+    sets = isinstance(steps, Positions | VerifyingPositions)
     if isinstance(steps, Positions) and steps.compares and setup.reference is None:
         raise UsageError(f"{steps.name} states no angles: the bench file needs a reference, which reads them")
     if setup.reference is not None and not sets:

@@ -8,7 +8,7 @@
         ├── Positions                that are set: sensitivity, offset and their drift
         ├── FreePositions            that nobody sets: unit gravity determines the three axes
         ├── Ramp                     at which the temperature turns: the drift of the offset in one attitude
-        ├── Verification             that are set, and judged by a calibration
+        ├── VerifyingPositions       that are set, and judged by a calibration
         └── Completion               of a sensor with a calibration
             ├── MountingCompletion   how it sits in its application
             └── LevelCompletion      its offset anew
@@ -215,7 +215,7 @@ class PositionProcedure(Procedure):
         last = replace(first, name=name, prompt=f"{again} {first.prompt}")
         return replace(self, positions=(*self.positions, last), record={**self.record, "positions": entries})
 
-    def verifying(self) -> Verification:
+    def verifying(self) -> VerifyingPositions:
         """Return its positions, to judge a calibration by; a UsageError where it sets none."""
         raise UsageError(f"{self.name} sets no positions to verify with: name another procedure")
 
@@ -239,15 +239,15 @@ class Positions(PositionProcedure):
         order = "the order of a sweep's temperatures shows hysteresis: no position can be taken again out of it"
         return f"{order}; go back, or quit and begin anew" if self.cross_validated else ""
 
-    def verifying(self) -> Verification:
+    def verifying(self) -> VerifyingPositions:
         sampled = {field.name: getattr(self, field.name) for field in fields(PositionProcedure)}
-        return Verification(**sampled | {"drift": 0, "gain": 0, "nonlinearity": 0})
+        return VerifyingPositions(**sampled | {"drift": 0, "gain": 0, "nonlinearity": 0})
 
 
-class Verification(PositionProcedure):
+class VerifyingPositions(PositionProcedure):
     """Positions that are set, and judged by a calibration."""
 
-    def verifying(self) -> Verification:
+    def verifying(self) -> VerifyingPositions:
         return self
 
 

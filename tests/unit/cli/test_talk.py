@@ -43,7 +43,7 @@ def test_the_bar_ends_at_the_size_of_the_log(folder: Path, monkeypatch: pytest.M
         yield lambda done, size: shown.append((done, size))
 
     for command, log in (
-        (("fit", "level", "rest.csv", "--base", FIXTURES / "complete.yaml", "-o", "S-1.yaml"), "rest.csv"),
+        (("fit", "level", "rest.csv", "--base", FIXTURES / "complete.yaml", "-o", "level.yaml"), "rest.csv"),
         (("fit", "ramp", "rest.csv", *SENSOR), "rest.csv"),
         (("noise", "rest.csv", "--columns", "x=x,y=y", "--unit", "V"), "rest.csv"),
         (("match", "stage.csv", *PAIR, "--phase", "theta"), "stage.csv"),
