@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 from tiltcal.drivers.bus.address import Address
 from tiltcal.drivers.bus.nodes import GONE, Node, import_library
 from tiltcal.errors import BusError, HardwareError
+from tiltcal.extras import how_to_add
 
 RECORD = Struct("<QBBI")
 
@@ -130,11 +131,11 @@ class GpioLink:
 
 def _gpiod() -> Any:
     """Import gpiod; version 2 is needed to request both lines with an event clock."""
-    install = "'tiltcal[gpio]'"
+    install = "tiltcal[gpio]"
     gpiod = import_library("gpiod", "edges of GPIO lines need the Python package gpiod, for Linux only", install)
     if not hasattr(gpiod, "request_lines"):
         raise HardwareError(
-            "the gpiod package here is older than version 2 (a distribution's package?): install it with  pip install "
-            f"{install}"
+            "the gpiod package here is older than version 2 (a distribution's package?): install it with  "
+            f"{how_to_add(install)}"
         )
     return gpiod

@@ -43,7 +43,7 @@ def open_modbus(address: Address, lines: MutableMapping[str, ModbusLine] | None 
     """
     unit = address.integer("unit", 1, low=1, high=247)
     timeout = address.number("timeout", TIMEOUT, low=0.05, high=60.0)
-    library = import_library("pymodbus.client", "Modbus needs the Python package pymodbus", "'tiltcal[modbus]'")
+    library = import_library("pymodbus.client", "Modbus needs the Python package pymodbus", "tiltcal[modbus]")
     if not (logger := logging.getLogger("pymodbus")).handlers:
         logger.addHandler(logging.NullHandler())  # our errors report lost frames
     if address.path.startswith("tcp://"):

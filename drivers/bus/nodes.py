@@ -9,14 +9,15 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from tiltcal.errors import HardwareError
+from tiltcal.extras import how_to_add
 
 
 def import_library(module: str, needed: str, install: str) -> Any:
-    """Import a module that one bus needs; without it a HardwareError says what needs which package, and its pip."""
+    """Import a module that one bus needs; without it a HardwareError says what needs it, and how it is added."""
     try:
         return import_module(module)
     except ImportError as cause:
-        raise HardwareError(f"{needed}: install it with  pip install {install}") from cause
+        raise HardwareError(f"{needed}: install it with  {how_to_add(install)}") from cause
 
 
 GONE = "{place} is gone: plug it in again, then resume"

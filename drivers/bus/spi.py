@@ -50,7 +50,7 @@ class SpiLink:
     def __init__(self, device: str, mode: int, speed: int) -> None:
         self._device = device
         self._bus: Any = import_library(
-            "spidev", "SPI needs the Python package spidev, for Linux only", "'tiltcal[spi]'"
+            "spidev", "SPI needs the Python package spidev, for Linux only", "tiltcal[spi]"
         ).SpiDev()
         try:
             if numbers := re.fullmatch(r"/dev/spidev(\d+)\.(\d+)", os.path.realpath(device)):

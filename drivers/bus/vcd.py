@@ -99,7 +99,7 @@ def _skip_preface(path: str, file: BufferedReader) -> None:
 
 def _edges(path: str, file: BufferedReader, names: tuple[str, str]) -> Iterator[Edge]:
     """Iterate over the edges of the named signals; the header is read at once."""
-    reader = import_library("vcd.reader", "a logic analyser's capture needs the Python package pyvcd", "'tiltcal[vcd]'")
+    reader = import_library("vcd.reader", "a logic analyser's capture needs the Python package pyvcd", "tiltcal[vcd]")
 
     def tokens() -> Iterator[Any]:
         try:

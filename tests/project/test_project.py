@@ -15,7 +15,7 @@ from support.command import loaded_by
 
 import tiltcal
 from tiltcal import errors
-from tiltcal.cli.main import COMMANDS, group
+from tiltcal.cli.main import COMMANDS, GROUPS, group
 
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 
@@ -168,6 +168,15 @@ def test_every_command_has_help_with_an_example_and_every_option_has_help() -> N
         assert known is not None
         for parameter in known.params:
             assert parameter.param_type_name != "option" or getattr(parameter, "help", None), parameter.name
+
+
+def test_tiltcal_alone_shows_three_ways_to_begin_and_then_the_list() -> None:
+    shown = CliRunner().invoke(group, [], prog_name="tiltcal")
+    ways, _, listed = shown.output.partition("\n\nUsage: tiltcal")
+    begun = re.findall(r"tiltcal (\w+ .*)", ways)
+    assert begun == ["probe --address serial:///dev/ttyUSB0", "probe LOG.csv", "demo demo"]
+    assert shown.exit_code == 2
+    assert re.findall(r"^Commands .*:$", listed, re.M) == [f"{title}:" for title in GROUPS]
 
 
 def test_every_command_module_is_a_command() -> None:

@@ -12,6 +12,7 @@ import click
 from tiltcal.cli import options
 from tiltcal.cli.talk import in_options, progress_bar, remark, talk, unforeseen
 from tiltcal.errors import InputError, TiltcalError, UsageError
+from tiltcal.extras import how_to_add
 from tiltcal.files.atomic import require_apart
 from tiltcal.logs.options import ApplyOptions
 from tiltcal.options import complete
@@ -154,7 +155,9 @@ def _applied_on(
     try:
         from distributed import Client, as_completed
     except ImportError as failure:
-        raise UsageError(f"--scheduler needs dask.distributed ({failure}): pip install 'tiltcal[cluster]'") from failure
+        raise UsageError(
+            f"--scheduler needs dask.distributed ({failure}): {how_to_add('tiltcal[cluster]')}"
+        ) from failure
     logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # each log reports what happened to it
     try:
         client = Client(scheduler, timeout=_PATIENCE)

@@ -14,30 +14,44 @@ from tiltcal.cli.talk import in_options, talk, versions
 from tiltcal.errors import INTERRUPTED, TiltcalError, UsageError
 from tiltcal.printable import printable
 
-COMMANDS = {
-    "devices": "list the sensor models, or show one",
-    "procedures": "list the procedures, or show one",
-    "probe": "test the connection of a sensor",
-    "plan": "predict the uncertainty that a procedure gives",
-    "measure": "measure the positions of a procedure and write the calibration file",
-    "record": "record the readings of a sensor or a bench",
-    "verify": "compare a calibration with positions that it was not fitted to",
-    "live": "show the calibrated tilt of a sensor as it is now",
-    "show": "print the coefficients of a calibration",
-    "export": "write a calibration as other programs hold it",
-    "combine": "combine calibrations of one sensor from several sessions",
-    "diff": "compare two calibrations of one sensor",
-    "history": "show the calibrations of a folder: dates, changes, what is due, outliers",
-    "replay": "repeat a recorded session without hardware",
-    "fit": "calibrate from a recorded log",
-    "apply": "convert a log of readings to compensated tilt",
-    "noise": "characterise the noise of a sensor and recommend a number of samples",
-    "match": "match accelerometer pairs on a rotary stage",
-    "report": "write an HTML page about a calibration",
-    "check": "check any tiltcal file",
-    "demo": "measure, calibrate, apply and report on the virtual bench",
+GROUPS = {
+    "Commands of the bench": {
+        "devices": "list the sensor models, or show one",
+        "procedures": "list the procedures, or show one",
+        "probe": "test the connection of a sensor",
+        "plan": "predict the uncertainty that a procedure gives",
+        "measure": "measure the positions of a procedure and write the calibration file",
+        "verify": "compare a calibration with positions that it was not fitted to",
+        "live": "show the calibrated tilt of a sensor as it is now",
+        "record": "record the readings of a sensor or a bench",
+    },
+    "Commands for logs": {
+        "fit": "calibrate from a recorded log",
+        "apply": "convert a log of readings to compensated tilt",
+        "noise": "characterise the noise of a sensor and recommend a number of samples",
+        "match": "match accelerometer pairs on a rotary stage",
+    },
+    "Commands for files": {
+        "show": "print the coefficients of a calibration",
+        "report": "write an HTML page about a calibration",
+        "export": "write a calibration as other programs hold it",
+        "combine": "combine calibrations of one sensor from several sessions",
+        "diff": "compare two calibrations of one sensor",
+        "history": "show the calibrations of a folder: dates, changes, what is due, outliers",
+        "check": "check any tiltcal file",
+        "replay": "repeat a recorded session without hardware",
+        "demo": "measure, calibrate, apply and report on the virtual bench",
+    },
 }
+COMMANDS = {name: line for commands in GROUPS.values() for name, line in commands.items()}
 """Every command with its one line of help, so that ``tiltcal --help`` imports none of them."""
+
+_WAYS = """\
+Begin with
+  a sensor on a port   tiltcal probe --address serial:///dev/ttyUSB0
+  a recorded log       tiltcal probe LOG.csv
+  none of both         tiltcal demo demo
+"""
 
 
 class Commands(click.Group):
@@ -64,8 +78,9 @@ class Commands(click.Group):
         return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        with formatter.section("Commands"):
-            formatter.write_dl(list(COMMANDS.items()))
+        for title, commands in GROUPS.items():
+            with formatter.section(title):
+                formatter.write_dl(list(commands.items()))
 
 
 @click.group(
@@ -86,7 +101,7 @@ def group(ctx: click.Context, version: bool, verbose: bool) -> None:
         click.echo("\n".join(versions()) if verbose else f"tiltcal, version {__version__}")
         ctx.exit()
     if ctx.invoked_subcommand is None:
-        click.echo(ctx.get_help())
+        click.echo(f"{_WAYS}\n{ctx.get_help()}")
         ctx.exit(UsageError.exit_code)
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple
 
 from tiltcal.errors import UsageError
+from tiltcal.extras import how_to_add
 from tiltcal.files.atomic import whole_file
 from tiltcal.report.numbers import SUPERSCRIPT
 
@@ -61,7 +62,7 @@ def require_extra() -> None:
 
     for module, name in (("jinja2", "Jinja2"), ("matplotlib", "matplotlib")):
         if find_spec(module) is None:
-            raise UsageError(f"a report needs {name}, which is not installed: pip install 'tiltcal[report]'")
+            raise UsageError(f"a report needs {name}, which is not installed: {how_to_add('tiltcal[report]')}")
 
 
 def write_figure(path: Path, height: float, plot: Plot) -> None:

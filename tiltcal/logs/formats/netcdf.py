@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 
 from tiltcal.errors import InputError, UsageError
+from tiltcal.extras import how_to_add
 from tiltcal.files.moments import to_the_second
 from tiltcal.logs.cf_attributes import COUNT, describe, is_judgement
 from tiltcal.logs.foreign_library import foreign_library
@@ -44,7 +45,7 @@ class NetcdfReader(FrameReader):
             import h5netcdf  # noqa: F401  (what xarray reads with)
             import xarray
         except ImportError as failure:
-            why = f"NetCDF needs xarray and h5netcdf ({failure}): pip install 'tiltcal[netcdf]'"
+            why = f"NetCDF needs xarray and h5netcdf ({failure}): {how_to_add('tiltcal[netcdf]')}"
             raise UsageError(why) from failure
         if source.stream.read(3) == _CLASSIC:
             why = "this is NetCDF-3: make NetCDF-4 of it first, such as with nccopy -k nc4 OLD NEW"

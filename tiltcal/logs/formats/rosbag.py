@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from tiltcal.errors import Argument, InputError, UsageError
+from tiltcal.extras import how_to_add
 from tiltcal.logs.log import LogBlock, LogReader, LogSource
 from tiltcal.logs.streams import refusing, sha256_of
 
@@ -43,7 +44,7 @@ class RosbagReader(LogReader):
             from rosbags.highlevel import AnyReader
             from rosbags.typesys import Stores, get_typestore
         except ImportError as cause:
-            raise UsageError("bags of ROS need the package rosbags: pip install 'tiltcal[rosbag]'") from cause
+            raise UsageError(f"bags of ROS need the package rosbags: {how_to_add('tiltcal[rosbag]')}") from cause
         with self._refusing_damage():
             self._bag = AnyReader([self._path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
             self._bag.open()
