@@ -12,6 +12,7 @@ import subprocess
 import sys
 from decimal import Decimal
 from pathlib import Path
+from runpy import run_path
 
 import msgspec
 import pytest
@@ -25,7 +26,6 @@ from tiltcal.files.twin import read_twin
 from tiltcal.journal.header import Setup
 from tiltcal.journal.lines import read_journal
 from tiltcal.library.calibration import read
-from tiltcal.library.measure import measure
 
 # A number that lies between two roundings is rounded to either, by the linear algebra of the processor.
 NUMBER = re.compile(r"(?<![\w.:-])-?\d+\.\d+(?:e[+-]\d+)?(?![\w.:-])")
@@ -187,20 +187,9 @@ def test_the_golden_drift_of_the_sensitivity_is_the_twins() -> None:
         assert found.coefficients.thermal.gain[row, 0] == pytest.approx(truth.gain[channel][0], abs=expanded)
 
 
-@pytest.mark.parametrize("procedure", ["plane", "two-temperature"])
-def test_the_virtual_bench_writes_the_events_of_a_fixture(
-    procedure: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(FIXTURES)
-    sensor = {"sensor": "sca100t-d02", "serial": "SIM-42", "address": "sim:?twin=twins/sca100t-d02.yaml"}
-    journal = tmp_path / "again.jsonl"
-    output = tmp_path / "again.yaml"
-    measure(procedure, operator="sim", journal=journal, output=output, samples=10, settle=0.006, **sensor)  # type: ignore[arg-type]
-    again, fixture = (read_journal(path) for path in (journal, FIXTURES / f"{procedure}.journal.jsonl"))
-    assert len(again.events) == len(fixture.events)
-    for ours, theirs in zip(again.events, fixture.events, strict=True):
-        assert (ours.dt_ns, ours.kind) == (theirs.dt_ns, theirs.kind)
-        if ours.kind != "p":
-            assert ours.payload == theirs.payload
-        else:
-            assert ours.payload[0]["sensors"] == theirs.payload[0]["sensors"]
+def test_a_fixture_is_made_again_to_the_byte(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "twins").symlink_to(FIXTURES / "twins")
+    monkeypatch.chdir(tmp_path)
+    run_path(str(FIXTURES / "make.py"))["make"]("plane")
+    for name in ("plane.journal.jsonl", "plane.yaml"):
+        assert (tmp_path / name).read_bytes() == (FIXTURES / name).read_bytes()

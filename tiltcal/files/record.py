@@ -89,7 +89,10 @@ def file_data(kind: str, record: Record, *, whole: bool = False) -> dict[str, An
 
 
 def plain(value: Any, whole: bool = False) -> Any:
-    """Return a record as plain data, without the keys that have their default, or ``whole``, without empty ones."""
+    """Return a record as plain data, without the keys that have their default, or ``whole``, without empty ones.
+
+    What is False is empty: so a key that is added later changes no file that does not use it.
+    """
     if isinstance(value, Record):
         usual = _defaults(type(value))
         names = zip(value.__struct_fields__, value.__struct_encode_fields__, strict=True)
@@ -98,7 +101,7 @@ def plain(value: Any, whole: bool = False) -> Any:
             for name, written in names
             if (content := getattr(value, name)) != usual[name]
             or name in value.always_written
-            or (whole and content not in (None, ""))
+            or (whole and content not in (None, "") and content is not False)
         }
     if isinstance(value, Mapping):
         return {name: plain(member, whole) for name, member in value.items()}
