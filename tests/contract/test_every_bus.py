@@ -295,6 +295,15 @@ def test_a_missing_package_says_how_to_install_it(monkeypatch: pytest.MonkeyPatc
         monkeypatch.setitem(sys.modules, module, None)
         with pytest.raises(HardwareError, match=how):
             opened(address)
+    for prefix, advice in (
+        ("/home/me/.local/share/pipx/venvs/tiltcal", r"pipx install --force 'tiltcal\[spi\]'"),
+        ("/home/me/.local/share/uv/tools/tiltcal", r"uv tool install 'tiltcal\[spi\]'"),
+        ("/home/me/.cache/uv/archive-v0/uZ3kq", r"uvx --from 'tiltcal\[spi\]' tiltcal"),
+    ):
+        with monkeypatch.context() as elsewhere:
+            elsewhere.setattr(sys, "prefix", prefix)
+            with pytest.raises(HardwareError, match=advice):
+                opened(SPI)
     monkeypatch.setitem(sys.modules, "gpiod", SimpleNamespace(Chip=object))
     with pytest.raises(HardwareError, match=r"older than version 2.*tiltcal\[gpio\]"):
         opened(GPIO)
