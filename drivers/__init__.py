@@ -68,7 +68,7 @@ def find_model(name: str) -> Model:
         return _loaded(claims[0])
     near = get_close_matches(name.lower(), [*_BUILT_IN, *plug_ins], n=3)
     advice = f"did you mean {' or '.join(map(repr, near))}?" if near else "'tiltcal devices' lists them"
-    raise UsageError(f"no sensor model is called {name!r} ({advice})")
+    raise UsageError(f"no sensor model is called {name!r} ({advice}); is it of a package that is not installed here?")
 
 
 def models() -> Iterator[Model]:

@@ -109,6 +109,18 @@ def test_the_result_of_a_rotation_is_that_of_its_samples_as_a_log(tmp_path: Path
         assert abs(found["q"] - kept.q) < within * kept.u_q
 
 
+def test_a_journal_that_lacks_its_end_line_alone_is_replayed(tmp_path: Path) -> None:
+    lines = (FIXTURES / "plane.journal.jsonl").read_bytes().splitlines(keepends=True)
+    (tmp_path / "plane.journal.jsonl").write_bytes(b"".join(lines[:-1]))
+    golden = FIXTURES / "plane.yaml"
+    whole = tiltcal("replay", "plane.journal.jsonl", "--golden", golden, cwd=tmp_path)
+    assert (whole.returncode, "its end line is missing, and all positions are there" in whole.stderr) == (0, True)
+    last = max(number for number, line in enumerate(lines) if b',"p",' in line)
+    (tmp_path / "plane.journal.jsonl").write_bytes(b"".join(lines[:last]))
+    half = tiltcal("replay", "plane.journal.jsonl", "--golden", golden, cwd=tmp_path)
+    assert (half.returncode, "continue it with: tiltcal measure --resume" in half.stderr) == (2, True)
+
+
 def test_a_golden_file_that_differs_is_judged_failing(tmp_path: Path) -> None:
     changed = tmp_path / "plane.yaml"
     kept = golden(PLANE).read_text(encoding="utf-8")

@@ -48,6 +48,7 @@ def test_models_carry_the_name_that_they_are_found_by_and_near_names_are_offered
         with pytest.raises(UsageError, match=f"no sensor model is called '{name}'") as error:
             find_model(name)
         assert advice in str(error.value)
+        assert str(error.value).endswith("is it of a package that is not installed here?")
 
 
 def test_a_third_party_adds_a_model(install) -> None:

@@ -12,6 +12,7 @@ import numpy as np
 
 from tiltcal.calibration.stated import length_tolerance, stated_uncertainty
 from tiltcal.core.angle_uncertainty import CompensationWithUncertainty
+from tiltcal.core.attitude import is_locked
 from tiltcal.core.compensation import Compensation
 from tiltcal.core.model import AXES, Array, Coefficients, Limits, Mounting
 from tiltcal.core.uncertain import TURN, Uncertain
@@ -26,6 +27,8 @@ from tiltcal.stated_arguments import is_number, named_values, require_boolean, r
 if TYPE_CHECKING:
     from tiltcal.drivers.model import Model
     from tiltcal.files.procedure import Procedure
+
+_ROUNDED = 1e-9  # of a stated pitch, radians: at 90° roll and yaw together are determined
 
 
 def record_in(document: Document) -> CalibrationRecord | PairRecord:
@@ -94,7 +97,7 @@ def with_mounting(calibration: CalibrationRecord, mounting: Mounting) -> Calibra
         calibration,
         coefficients=replace(calibration.coefficients, mounting=mounting),
         uncertainty=calibration.uncertainty.without_mounting(),
-        derived=calibration.derived.replaced(gimbal_lock=False),
+        derived=calibration.derived.replaced(gimbal_lock=is_locked(mounting.pitch, _ROUNDED)),
         fit=calibration.fit.replaced(mounting=None),
         procedure=calibration.procedure.replaced(mounting=None),
         positions=calibration.positions_with(mounting=()),

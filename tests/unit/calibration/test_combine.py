@@ -247,6 +247,8 @@ def test_a_session_without_a_mounting_takes_that_of_the_other_and_no_two_contrad
     mounting = {"roll": 180.0}
     pair = [SCALE.with_mounting(mounting), OF_BASE] if mounted_first else [SCALE, OF_BASE.with_mounting(mounting)]
     assert combine(pair).coefficients.mounting == Mounting(roll=np.pi)
+    locked = {pitch: pair[0].with_mounting(f"pitch={pitch}").derived.gimbal_lock for pitch in (90, -90, 89.9)}
+    assert locked == {90: True, -90: True, 89.9: False}
     with pytest.raises(UsageError, match=r"the mountings contradict: .*; state one with mounting"):
         combine([pair[0].with_mounting("roll=180"), pair[1].with_mounting("roll=90")])
 
