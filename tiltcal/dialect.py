@@ -28,6 +28,8 @@ TIME, TEMPERATURE = "time", "temperature"
 HEAD_LINES = 200
 """Lines in which the table must begin."""
 
+LONGEST_PATTERN = 2000  # characters of a line with labels
+LONGEST_NAME = 200  # characters of a name that means something
 FEW = 20  # lines of which all show how rows are written, not the later half of them
 
 MISSING = frozenset({"", "nan", "+nan", "-nan", "na", "n/a", "null", "none"})
@@ -37,7 +39,7 @@ COMMENTS = ("#", "//", "%")
 SEPARATORS = (",", ";", "\t", "|", " ")
 """Of the fields of a row, the likeliest first; a blank stands for several."""
 
-_DIGITS = r"(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+_DIGITS = r"(?:\d++\.?\d*+|\.\d++)(?:[eE][-+]?\d++)?"
 _PRINTED = re.compile(rf"(?<![\w.^²])[-+]?{_DIGITS}(?![\w.]|\s*[:=])")
 _NUMBER = re.compile(rf"[-+]?(?:{_DIGITS}|inf|infinity)", re.IGNORECASE)
 WITH_COMMA = re.compile(r"[-+]?\d*,\d+(?:[eE][-+]?\d+)?")
@@ -50,7 +52,7 @@ _FRONT = re.compile(rf"\s*(?:\[((?:\d{{4}}-\d\d-\d\d[T ])?{_CLOCK})\]|({_CLOCK})
 """What monitors of serial lines print before a line: ``12:03:11.123 -> `` or ``[12:03:11.123] ``."""
 _LABEL = re.compile(r"(?<![\w.])([A-Za-z_][\w./ ]*?)[ \t]*[:=]")
 _BEHIND = re.compile(r"[ \t]*[(\[]?([^\s,;|()\[\]]+)")
-_MIXED = re.compile(r"\d[ \t]*[,;|\t ][ \t]*[-+.\d]")
+_MIXED = re.compile(r"\d[ \t]*+[,;|][ \t]*+[-+.\d]|\d[ \t]++[-+.\d]")
 _GAPS, _MARGINS = re.compile(rb"[ \t]+"), re.compile(rb"^[ \t]+|[ \t]+(?=\r?$)", re.MULTILINE)
 _SWAPPED = str.maketrans(".,", ",.")
 _SPARE = bytes(code for code in range(1, 32) if code not in b"\t\n\r")
@@ -78,6 +80,8 @@ _OTHER_QUANTITY = re.compile(
 def meaning(name: str) -> str:
     """Return the role that the name of a column means, without its unit: an axis, time, temperature; else nothing."""
     name = name.strip()
+    if len(name) > LONGEST_NAME:
+        return ""
     if name.lower() in _CLOCKS:
         return TIME
     if _THERMOMETER.fullmatch(name):
@@ -406,6 +410,8 @@ def _pattern_of(lines: Sequence[str], later: Sequence[int]) -> Dialect | None:
     shapes: dict[tuple[str, ...], list[int]] = {}
     for row in later:
         line = lines[row].strip()
+        if len(line) > LONGEST_PATTERN:
+            continue
         texts, numbers = printed(line)
         keys = _keys(line)
         framed = any(map(_LABEL.search, texts[:-1])) or texts[0].strip() in ("[", "(", "<", "{")

@@ -81,6 +81,7 @@ _SPELT = {
     for name, others in table.items()
     for other in (name, *others)
 }
+_LONGEST = 200  # characters of a name that states a unit
 _DIMENSIONLESS = ("", "1")  # units that fit every count and ratio, and say nothing
 _BEHIND = re.compile(r"(.*\S)\s*[(\[]([^\[\]]+)[)\]]\s*(?:\[[^\[\]]*\])?")  # x (m/s^2), x [V], time (s)[utc]
 _LISTED = re.compile(r"(.*?\S),\s*([^\s,()]+)(?:\s*\(.*\))?")  # X Accel, g (LGR S/N: 1000)
@@ -118,7 +119,7 @@ def split_unit(name: str) -> tuple[str, str | None]:
     the last word of a name (``time_us``, ``temp_F``).
     """
     name = name.strip()
-    for pattern in (_BEHIND, _LISTED, _IN, _SUFFIX, _OF_WARMTH):
+    for pattern in (_BEHIND, _LISTED, _IN, _SUFFIX, _OF_WARMTH) if len(name) < _LONGEST else ():
         if (found := pattern.fullmatch(name)) and is_unit(found[2]):
             return found[1], found[2]
     return name, None

@@ -9,7 +9,7 @@ from functools import cache
 from itertools import islice
 from pathlib import Path
 from random import Random
-from time import perf_counter
+from time import process_time
 
 from fuzzing.damage import damaged_bytes, damaged_journal, damaged_json, damaged_table, damaged_text, damaged_yaml
 from fuzzing.inputs import BENCH, CALIBRATIONS, JOURNALS, VCD, golden, shipped, target
@@ -127,7 +127,7 @@ def head(draw: Random) -> None:
         Path("log.txt").write_bytes(damaged_bytes(draw, text.encode(encoding)))
     else:
         Path("log.txt").write_bytes(damaged_table(draw, text))
-    began = perf_counter()
+    began = process_time()
     with open_log("log.txt", skip_bad_rows=True) as log:
         found = list(log.rows(range(len(log.names))))
         if log.encoding == "UTF-8":
@@ -146,8 +146,8 @@ def head(draw: Random) -> None:
                     text = dialect.with_point(text.strip(" \t"))
                     if column[number] == column[number] and kind_of(text) == "number" and float(text) != column[number]:
                         raise AssertionError(f"row {number}: {text!r} was read as {column[number]}")
-    if perf_counter() - began > 2.0:
-        raise AssertionError(f"it took {perf_counter() - began:.1f} s")
+    if process_time() - began > 2.0:
+        raise AssertionError(f"it took {process_time() - began:.1f} s")
 
 
 # What a device says

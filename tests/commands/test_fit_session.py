@@ -153,3 +153,15 @@ def test_what_contradicts_the_unit_is_said_and_a_torn_row_is_skipped_on_request(
     still = write(tmp_path / "still.csv", held() - OFFSET - held() + 0.001)
     linear = tiltcal("fit", "free", still, "--unit", "m/s2", "--serial", "A", "-o", "b.yaml", cwd=tmp_path)
     assert linear.returncode == 2
+
+
+def test_a_sensor_of_one_axis_needs_no_tilt_of_the_other(tmp_path: Path) -> None:
+    rows = [
+        (a, 2.5 + 2.0 * np.sin(np.radians(a)), np.sin(np.radians(a)), np.cos(np.radians(a))) for a in range(-60, 61, 10)
+    ]
+    text = "".join(f"at {a},{volts:.4f},{x:.8f},0,{z:.8f}\n" for a, volts, x, z in rows)
+    (tmp_path / "t.csv").write_text("position,x,gx,gy,gz\n" + text)
+    calibration, said = fitted(tmp_path, "plane", "t.csv", "--table", "--unit", "V", "--jig", "0.1")
+    assert calibration.offset["x"] == pytest.approx(2.5, abs=1e-3)
+    assert calibration.sensitivity["x", "x"] == pytest.approx(2.0, abs=1e-3)
+    assert "no position tilts y: the sensitivity to it counts as zero" in said

@@ -80,6 +80,7 @@ from tiltcal.stated_arguments import require_name
 
 R = TypeVar("R", FileRecord, SegmentsRecord)
 
+IDLE = 1e-6  # gravity along an axis that differs by less between positions determines nothing, g
 WEIGHTLESS = 0.5  # readings whose length is below this most of the time are without gravity, g
 UNSTATED = "1"  # stands for a unit that nothing states yet; it fits all
 
@@ -126,6 +127,7 @@ def fit_recorded(
         remarks = (remark for log in (logs.logs if logs else ()) for remark in (*log.remarks, *log.clock_remarks))
         for remark in dict.fromkeys(remarks):
             options["say"](f"note: {remark}")
+    steps = _without_idle_axes(steps, identity, positions.measurements, options["say"])
     measured = MeasuredSensor(
         identity,
         positions.measurements,
@@ -154,6 +156,19 @@ def _header_of(logs: Recordings | None, options: FitOptions) -> tuple[ReadingsHe
     if header.guessed:
         options["say"](f"{logs.name} has no names: its columns of numbers are taken for x, y and z")
     return header, {**options, "columns": {**header.guessed, **named}}, signs
+
+
+def _without_idle_axes(
+    steps: PositionProcedure, sensor: SensorIdentity, measurements: Sequence[Measurement], say: Remark
+) -> PositionProcedure:
+    """Return a procedure without the axes that a sensor has no channel of, and along which no position differs."""
+    if not (steps.known and measurements):
+        return steps
+    reach = np.ptp([measurement.gravity for measurement in measurements], axis=0)
+    idle = [axis for axis in steps.axes if axis not in sensor.channels and reach[AXES.index(axis)] < IDLE]
+    if idle:
+        say(f"no position tilts {' or '.join(idle)}: the sensitivity to it counts as zero")
+    return replace(steps, axes=tuple(axis for axis in steps.axes if axis not in idle))
 
 
 def _with_unit(sensor: SensorIdentity, positions: FitPositions, say: Remark) -> SensorIdentity:
