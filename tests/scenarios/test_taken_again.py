@@ -170,13 +170,6 @@ def test_the_person_chooses_the_order_and_the_reading_does_not(tmp_path: Path, m
     require_right(tmp_path, {})
 
 
-def test_a_position_of_another_temperature_is_taken_in_the_procedure_s_order(tmp_path: Path) -> None:
-    said = iter([{"answer": "ready", "position": "level-cold"}, {"answer": "quit"}])
-    options = ("--sensor", "sca100t-d02", *BEGIN[4:10], "--settle", "0.2")
-    led = lead("measure", "mavs", *options, cwd=tmp_path, answer=lambda one: next(said) if "ask" in one else None)
-    assert "level-cold has another temperature, heading or stage angle" in led.events("refused")[0]["why"]
-
-
 def accept(terminal: pexpect.spawn, position: str) -> None:
     terminal.expect(position)
     terminal.expect("live")
@@ -232,9 +225,18 @@ def test_a_program_takes_a_position_again_at_any_time(tmp_path: Path) -> None:
     require_right(tmp_path, {"x-up": 3, "y-up": 2})
 
 
-@pytest.mark.parametrize(("procedure", "why"), [("temperature-sweep", "shows hysteresis"), ("ramp", "one continuous")])
-def test_what_cannot_be_taken_again_says_why(procedure: str, why: str, tmp_path: Path) -> None:
-    said = iter([{"answer": "ready"}, {"answer": "again", "position": "start-24"}, {"answer": "quit"}])
+@pytest.mark.parametrize(
+    ("procedure", "second", "why"),
+    [
+        ("temperature-sweep", {"answer": "again", "position": "start-24"}, "shows hysteresis"),
+        ("ramp", {"answer": "again", "position": "down"}, "one continuous"),
+        ("mavs", {"answer": "ready", "position": "level-cold"}, "level-cold has another temperature, heading or stage"),
+    ],
+)
+def test_what_cannot_be_taken_out_of_its_order_says_why(
+    procedure: str, second: dict[str, str], why: str, tmp_path: Path
+) -> None:
+    said = iter([{"answer": "ready"}, second, {"answer": "quit"}])
     options = ("--sensor", "sca100t-d02", *BEGIN[4:10], "--settle", "0.2")
     led = lead("measure", procedure, *options, cwd=tmp_path, answer=lambda one: next(said) if "ask" in one else None)
     assert led.exit_code == 130

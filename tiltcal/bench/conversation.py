@@ -4,23 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from tiltcal.bench import messages
 from tiltcal.bench.devices import Recorder, SensorSet
 from tiltcal.bench.guidance import SensorGuidance
-from tiltcal.bench.messages import (
-    Accepted,
-    Look,
-    Matched,
-    Poll,
-    PositionQuestion,
-    Question,
-    Refused,
-    Review,
-    SessionEvent,
-    Settling,
-    ShownReading,
-    TurnMade,
-    Waiting,
-)  # fmt: skip
 from tiltcal.bench.operators import LOOK, Operator, understood
 from tiltcal.bench.reference import guidance_of
 from tiltcal.core.attitude import Vector
@@ -50,7 +36,7 @@ class Conversation:
         self._attempts = ("", 0)
         """The position of the last failed attempt, and how many failed in a row."""
 
-    def ask(self, question: Question) -> OperatorAnswer:
+    def ask(self, question: messages.Question) -> OperatorAnswer:
         """Return the answer to a question, which goes to the journal; ask again where it cannot be understood.
 
         Stopped: the operator quits.
@@ -58,25 +44,31 @@ class Conversation:
         while True:
             if (answer := self._heard(question, question.kind)) is None:
                 self._show_reading(question)
-            elif answer.answer != "again" or not isinstance(question, Review) or answer.position == question.position:
+            elif (
+                answer.answer != "again"
+                or not isinstance(question, messages.Review)
+                or answer.position == question.position
+            ):
                 break
-        if isinstance(question, PositionQuestion):
+        if isinstance(question, messages.PositionQuestion):
             self._answered_ns, self._minutes = self._recorder.now_ns(), 0
             if answer.answer == "redo":
                 self._count_attempt(question.position, "the program answered redo")
         return answer
 
-    def poll(self, question: Poll | Settling, to: str) -> OperatorAnswer | None:
+    def poll(self, question: messages.Poll | messages.Settling, to: str) -> OperatorAnswer | None:
         """Return what the operator says without having to; None where that is nothing."""
-        speaks = isinstance(question, Poll) or self._operator.speaks_unasked
+        speaks = isinstance(question, messages.Poll) or self._operator.speaks_unasked
         return self._heard(question, to) if speaks else None
 
-    def _heard(self, question: Question, to: str) -> OperatorAnswer | None:
+    def _heard(self, question: messages.Question, to: str) -> OperatorAnswer | None:
         """Return the answer of the operator, None where there is none yet; one that is not understood is refused."""
         while True:
             try:
                 said = self._operator.ask(question)
-                if said == {"answer": LOOK} or (said is None and isinstance(question, Poll | Settling)):
+                if said == {"answer": LOOK} or (
+                    said is None and isinstance(question, messages.Poll | messages.Settling)
+                ):
                     return None
                 answer = understood(said, question.words)
                 self._recorded.require_possible(answer, question.subject)
@@ -103,15 +95,15 @@ class Conversation:
         choosable = self._recorded.choosable
         return next((position for position in choosable if position.name == self._chosen), choosable[0])
 
-    def tell(self, event: SessionEvent) -> None:
+    def tell(self, event: messages.SessionEvent) -> None:
         """Tell the operator what has happened."""
         self._operator.tell(event)
-        if isinstance(event, Accepted | Matched | TurnMade):
+        if isinstance(event, messages.Accepted | messages.Matched | messages.TurnMade):
             self._attempts = ("", 0)
 
     def refuse(self, position: str, why: str) -> None:
         """Tell the operator that an answer, or what was set, is refused; it is asked for again."""
-        self.tell(Refused(position, why))
+        self.tell(messages.Refused(position, why))
         self._count_attempt(position, why)
 
     def _count_attempt(self, position: str, why: str) -> None:
@@ -122,15 +114,15 @@ class Conversation:
         if count == self._operator.most_attempts:
             raise Stopped(f"{position} failed {count} times in a row, the last time because {why}")
 
-    def _show_reading(self, question: Question) -> None:
+    def _show_reading(self, question: messages.Question) -> None:
         """Take a reading that only the operator looks at."""
-        why, readings = "", dict[str, ShownReading]()
-        up = question.up if isinstance(question, PositionQuestion) else None
+        why, readings = "", dict[str, messages.ShownReading]()
+        up = question.up if isinstance(question, messages.PositionQuestion) else None
         try:
             readings = self._shown(self.sensors.read(fresh=True), up)
         except HardwareError as error:
             why = f"no reading: {error}"
-        self.tell(Look("" if up is None else question.subject, why, readings))
+        self.tell(messages.Look("" if up is None else question.subject, why, readings))
 
     def look(
         self, position: Position, sample: Sample, why: str, *, seconds: float | None = None,
@@ -141,18 +133,18 @@ class Conversation:
         Beside them stand the seconds that it waits at least, or the samples taken and wanted.
         """
         if self._operator.watches:
-            self.tell(Look(position.name, why, self._shown(sample, position.gravity), seconds, samples))
+            self.tell(messages.Look(position.name, why, self._shown(sample, position.gravity), seconds, samples))
         minutes = (self._recorder.now_ns() - self._answered_ns) // MINUTE_NS
         if minutes > self._minutes:
             self._minutes = minutes
             temperature = next((one.temperature for one in sample.values() if one.temperature is not None), None)
             passed = round((self._recorder.now_ns() - self._answered_ns) / 1e9)
-            self.tell(Waiting(position.name, passed, why, temperature))
+            self.tell(messages.Waiting(position.name, passed, why, temperature))
 
-    def _shown(self, sample: Sample, up: Vector | None) -> dict[str, ShownReading]:
+    def _shown(self, sample: Sample, up: Vector | None) -> dict[str, messages.ShownReading]:
         """Return readings as the operator gets them, with guidance where a direction up is asked for."""
         return {
-            serial: ShownReading(
+            serial: messages.ShownReading(
                 dict(zip(self.sensors.models[serial].channels, reading.values, strict=True)),
                 reading.temperature,
                 SensorGuidance()
@@ -162,11 +154,11 @@ class Conversation:
             for serial, reading in sample.items()
         } | self.shown_reference(sample, up)
 
-    def shown_reference(self, sample: Sample, up: Vector | None) -> dict[str, ShownReading]:
+    def shown_reference(self, sample: Sample, up: Vector | None) -> dict[str, messages.ShownReading]:
         """Return the reading of the reference as the operator gets it, by its name; empty where there is none."""
         device, reading = self._recorded.setup.reference, sample.reference
         if device is None or reading is None:
             return {}
         guide = SensorGuidance() if up is None else guidance_of(device, reading, up)
         values = dict(zip(device.wired.channels, reading.values, strict=True))
-        return {device.serial: ShownReading(values, None, guide)}
+        return {device.serial: messages.ShownReading(values, None, guide)}

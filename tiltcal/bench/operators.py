@@ -14,25 +14,7 @@ from typing import Protocol, TextIO
 
 import msgspec
 
-from tiltcal.bench.messages import (
-    Accepted,
-    Begin,
-    Done,
-    Held,
-    Lost,
-    Matched,
-    Message,
-    Moved,
-    Poll,
-    PositionQuestion,
-    Question,
-    Refused,
-    Resumed,
-    RotationQuestion,
-    SessionEvent,
-    Settling,
-    TurnMade,
-)
+from tiltcal.bench import messages
 from tiltcal.bench.typed import with_numbers
 from tiltcal.core.detection import TEMPERATURES
 from tiltcal.core.rounding import plus_minus
@@ -59,11 +41,11 @@ class Operator(Protocol):
     watches: bool = False
     speaks_unasked: bool = False
 
-    def ask(self, question: Question) -> object:
+    def ask(self, question: messages.Question) -> object:
         """Return the answer to a question; Stopped where the operator quits."""
         ...
 
-    def tell(self, event: SessionEvent) -> None:
+    def tell(self, event: messages.SessionEvent) -> None:
         """Take an event; Stopped where the operator gives up."""
         ...
 
@@ -72,7 +54,7 @@ class Operator(Protocol):
         return wrong
 
 
-def understood(said: object, words: Sequence[str] = PositionQuestion.words) -> OperatorAnswer:
+def understood(said: object, words: Sequence[str] = messages.PositionQuestion.words) -> OperatorAnswer:
     """Return the answer of what an operator said; ``words`` are those that it may give.
 
     InputError: it is not an answer; the message says what is wrong with it.
@@ -152,32 +134,32 @@ class VirtualJig(Operator):
 
     def __init__(self, say: Callable[[str], None] = lambda line: None) -> None:
         self._say = say
-        self._begin: Begin | None = None
+        self._begin: messages.Begin | None = None
 
-    def ask(self, question: Question) -> object:
+    def ask(self, question: messages.Question) -> object:
         """Return the usual answer."""
-        if isinstance(question, RotationQuestion):
+        if isinstance(question, messages.RotationQuestion):
             self._say(f"{len(question.pairs)} pairs, up to {question.turns} turns of the virtual stage")
         return usual(question)
 
-    def tell(self, event: SessionEvent) -> None:
+    def tell(self, event: messages.SessionEvent) -> None:
         """Print what a person would like to read afterwards."""
         match event:
-            case Begin():
+            case messages.Begin():
                 self._begin = event
                 self._say(": ".join(filter(None, (event.title, event.length))))
-            case Accepted():
+            case messages.Accepted():
                 for line in self._measured(event):
                     self._say(line)
-            case Refused("rotation"):
+            case messages.Refused("rotation"):
                 raise Stopped(event.why)  # asked again, the virtual stage would do the same
-            case Refused():
+            case messages.Refused():
                 self._say(f"  {event.position} refused: {event.why}")
             case _:
                 for line in in_words(event):
                     self._say(line)
 
-    def _measured(self, event: Accepted) -> Iterator[str]:
+    def _measured(self, event: messages.Accepted) -> Iterator[str]:
         """Yield mean and scatter of each sensor of an accepted position."""
         if self._begin is None:
             return
@@ -203,16 +185,16 @@ class Program(Operator):
     def __init__(self, answers: TextIO, questions: TextIO) -> None:
         self._answers, self._questions = LineReader(answers), questions
 
-    def ask(self, question: Question) -> object:
+    def ask(self, question: messages.Question) -> object:
         """Ask, and wait for the answer; to a poll return what the program has said without being asked."""
-        if isinstance(question, Poll):
+        if isinstance(question, messages.Poll):
             return self._next() if self._answers.waiting() else None
-        if not isinstance(question, PositionQuestion | RotationQuestion):
+        if not isinstance(question, messages.PositionQuestion | messages.RotationQuestion):
             return self._again() or usual(question)
         self._send(question)
         return self._next()
 
-    def tell(self, event: SessionEvent) -> None:
+    def tell(self, event: messages.SessionEvent) -> None:
         """Send an event, unless it is for a person's eyes."""
         if event.heard:
             self._send(event)
@@ -231,7 +213,7 @@ class Program(Operator):
             raise Stopped("the operator program closed its answers")
         return parsed(line)
 
-    def _send(self, message: Message) -> None:
+    def _send(self, message: messages.Message) -> None:
         try:
             self._questions.write(json.dumps(message.as_data(), ensure_ascii=False, allow_nan=False) + "\n")
             self._questions.flush()
@@ -253,22 +235,22 @@ class PythonObject(Operator):
         if not callable(getattr(rig, question, None)):
             raise UsageError(f"the operator ({type(rig).__name__}) has no method {question}(ask)")
 
-    def ask(self, question: Question) -> object:
+    def ask(self, question: messages.Question) -> object:
         """Return what the method returns."""
-        if isinstance(question, Poll | Settling):
+        if isinstance(question, messages.Poll | messages.Settling):
             said = self._rig.poll() if hasattr(self._rig, "poll") else None
-            return said if isinstance(question, Poll) or again(said) else None
-        if isinstance(question, PositionQuestion | RotationQuestion):
+            return said if isinstance(question, messages.Poll) or again(said) else None
+        if isinstance(question, messages.PositionQuestion | messages.RotationQuestion):
             return getattr(self._rig, question.kind)(question.as_data())
         return usual(question)
 
-    def tell(self, event: SessionEvent) -> None:
+    def tell(self, event: messages.SessionEvent) -> None:
         """Call the method of an event that a program gets, where the object has it."""
         if event.heard and hasattr(self._rig, event.kind):
             getattr(self._rig, event.kind)(event.as_data())
 
 
-def usual(question: Question) -> object:
+def usual(question: messages.Question) -> object:
     """Return the usual answer to a question; nothing where nobody has to answer."""
     return {"answer": question.usual} if question.usual else None
 
@@ -288,33 +270,33 @@ def parsed(line: str) -> object:
         ) from None
 
 
-def in_words(event: SessionEvent) -> list[str]:
+def in_words(event: messages.SessionEvent) -> list[str]:
     """Return what has happened as lines for a person."""
     match event:
-        case Matched():
+        case messages.Matched():
             return [f"  matched {pair} after {event.turns:.1f} turns" for pair in _pairs_in_words(event)]
-        case Accepted():
+        case messages.Accepted():
             return [f"  accepted {event.position}"]
-        case Refused():
+        case messages.Refused():
             return [f"  refused: {event.why}"]
-        case Lost():
+        case messages.Lost():
             return [f"  {event.sensor} is dropped, the others continue: {event.why}"]
-        case TurnMade():
+        case messages.TurnMade():
             parts = [f"  turn {event.turn} of {event.of}", *_pairs_in_words(event)]
             parts += [f"{name}: {why}" for name, why in event.unknown.items()]
             parts += [f"{event.left_out} samples left out"] if event.left_out else []
             return ["   ".join(parts)]
-        case Moved():
+        case messages.Moved():
             return [f"  {event.why}"]
-        case Held():
+        case messages.Held():
             return [f"  held: {event.why}"]
-        case Resumed():
+        case messages.Resumed():
             return ["  goes on"]
-        case Done():
+        case messages.Done():
             return [*(f"wrote {path}" for path in event.calibrations), f"journal {event.journal}"]
     return []
 
 
-def _pairs_in_words(event: Matched | TurnMade) -> list[str]:
+def _pairs_in_words(event: messages.Matched | messages.TurnMade) -> list[str]:
     p, q, u_p, u_q = event.p, event.q, event.u_p, event.u_q
     return [f"{name}: p {plus_minus(p[name], u_p[name])}, q {plus_minus(q[name], u_q[name])}" for name in p]

@@ -13,21 +13,11 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
+from tiltcal.bench import messages
 from tiltcal.bench.checks import Expectations, far_off, require_few, require_no_turns
 from tiltcal.bench.conversation import Conversation
 from tiltcal.bench.devices import Recorder, SensorSet, VirtualBench, connected, probe_devices
 from tiltcal.bench.guidance import SensorGuidance
-from tiltcal.bench.messages import (
-    Accepted,
-    Begin,
-    Measured,
-    PositionQuestion,
-    Progress,
-    Review,
-    Settling,
-    ShownReading,
-    ShownSensor,
-)
 from tiltcal.bench.operators import Operator
 from tiltcal.bench.reference import require_steady
 from tiltcal.bench.settle import NEAR, Timed, Unsettled, Window, movement, wait_until_still
@@ -111,7 +101,7 @@ class Session:
         self.talk.sensors = self.sensors
         self.sensors.give_up(self.recorded.lost)
         self.talk.tell(
-            Begin(
+            messages.Begin(
                 title=setup.steps.title,
                 length=setup.steps.length if setup.steps.positions else "",
                 positions=[position.name for position in setup.steps.positions],
@@ -120,7 +110,7 @@ class Session:
                 headings=any(position.heading for position in setup.steps.positions),
                 accepted=[result.position.name for result in self.accepted],
                 sensors={
-                    sensor.serial: ShownSensor(
+                    sensor.serial: messages.ShownSensor(
                         model.name,
                         sensor.orientation.names,
                         model.channels,
@@ -165,7 +155,7 @@ class Session:
 
         def settling(sample: Sample, why: str, left: float) -> None:
             self.talk.look(actual, sample, why, seconds=left)
-            self.talk.poll(Settling(position.name), "settling")
+            self.talk.poll(messages.Settling(position.name), "settling")
 
         wait_until_still(self.sensors, self.recorder, window, settling)
         self._soaked = position.temperature
@@ -182,7 +172,7 @@ class Session:
         result = self._result(position, actual, samples, len(without), answer.temperature)
         self.talk.expectations.require(result)
         readings = {
-            serial: ShownReading(
+            serial: messages.ShownReading(
                 one["mean"],
                 one["temperature"],
                 self.talk.expectations.guidance(serial, [*one["mean"].values()], actual.gravity, one["temperature"]),
@@ -192,7 +182,7 @@ class Session:
             for serial, one in result.values().items()
         }
         verdict = self.talk.ask(
-            Review(position.name, readings | self.talk.shown_reference(samples[-1][1], position.gravity))
+            messages.Review(position.name, readings | self.talk.shown_reference(samples[-1][1], position.gravity))
         )
         if verdict.answer == "accept":
             guides = {serial: reading.guidance for serial, reading in readings.items()}
@@ -209,9 +199,9 @@ class Session:
         names = [result.position.name for result in self.accepted]
         if position.name != self._asked[0]:
             self._asked = (position.name, self.recorder.now_ns())
-        self.talk.tell(Progress(position.name, names, self._left()))
+        self.talk.tell(messages.Progress(position.name, names, self._left()))
         return self.talk.ask(
-            PositionQuestion(
+            messages.PositionQuestion(
                 position=position.name,
                 tilt=position.tilt,
                 gravity=[round(component, 9) + 0.0 for component in position.gravity],
@@ -247,12 +237,14 @@ class Session:
         self._moves.append(max(0.0, took - self._least(done) + self._least(done + 1)))
         self.recorded.accept(result)
         offs = {serial: guide.off for serial, guide in (guides or {}).items()}
-        sensors = {serial: Measured(**one, off=offs.get(serial)) for serial, one in values.items()}
+        sensors = {serial: messages.Measured(**one, off=offs.get(serial)) for serial, one in values.items()}
         several = sensors if len(self.setup.sensors) > 1 else {}
         reference = None if self.setup.reference is None else result.position.tilt
         serial, first = next(iter(values.items()))
         off = offs.get(serial)
-        self.talk.tell(Accepted(position=result.position.name, **first, off=off, reference=reference, sensors=several))
+        self.talk.tell(
+            messages.Accepted(position=result.position.name, **first, off=off, reference=reference, sensors=several)
+        )
 
     def _hold(self, position: Position) -> None:
         """Bring the virtual jig, where there is one, into a position."""

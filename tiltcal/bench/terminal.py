@@ -14,23 +14,8 @@ from typing import Any, TextIO
 
 from rich.console import Console
 
+from tiltcal.bench import messages
 from tiltcal.bench.guidance import COLUMNS, UNCALIBRATED, SensorGuidance, note_on
-from tiltcal.bench.messages import (
-    Begin,
-    Look,
-    PositionQuestion,
-    Progress,
-    Question,
-    Refused,
-    Review,
-    RotationQuestion,
-    SessionEvent,
-    ShownSensor,
-    StopAndKeep,
-    TurnMade,
-    WriteQuestion,
-    rows_of,
-)  # fmt: skip
 from tiltcal.bench.operators import LOOK, LineReader, Operator, in_words
 from tiltcal.bench.screen import Screen
 from tiltcal.bench.typed import number_in
@@ -169,47 +154,47 @@ class Terminal(Screen, Operator):
         self._keys = keys
         self.watches = live
         self._positions: Sequence[str] = []
-        self._sensors: Mapping[str, ShownSensor] = {}
+        self._sensors: Mapping[str, messages.ShownSensor] = {}
         self._remaining = ""
-        self._asked: PositionQuestion | None = None
+        self._asked: messages.PositionQuestion | None = None
         self._answer: dict[str, Any] = {}
 
-    def ask(self, question: Question) -> object:
+    def ask(self, question: messages.Question) -> object:
         """Show the person what to do, and wait for a key."""
         match question:
-            case PositionQuestion():
+            case messages.PositionQuestion():
                 return self._position(question)
-            case RotationQuestion():
+            case messages.RotationQuestion():
                 return self._rotation(question)
-            case Review():
+            case messages.Review():
                 return self._review(question)
-            case WriteQuestion():
+            case messages.WriteQuestion():
                 return self._write(question)
-            case StopAndKeep():
+            case messages.StopAndKeep():
                 return self._stop(question)
         return self._poll()
 
-    def tell(self, event: SessionEvent) -> None:
+    def tell(self, event: messages.SessionEvent) -> None:
         """Show an event."""
-        if isinstance(event, Refused):
+        if isinstance(event, messages.Refused):
             self._ring()
         match event:
-            case Begin():
+            case messages.Begin():
                 self._positions, self._sensors = event.positions, event.sensors
                 self._say(f"\n{'  '.join(filter(None, (event.title, event.length)))}", "bold")
                 if event.accepted:
                     self._say(f"  kept from before: {', '.join(event.accepted)}")
-            case Progress():
+            case messages.Progress():
                 self._remaining = event.left
-            case Look() if self._live:
+            case messages.Look() if self._live:
                 self._show(event)
-            case TurnMade() if self._live:
+            case messages.TurnMade() if self._live:
                 self._overwrite([in_words(event)[0].strip()])
             case _:
                 for line in in_words(event):
                     self._say(line, "green" if line.startswith("wrote ") else STYLES.get(event.kind, ""))
 
-    def _position(self, question: PositionQuestion) -> object:
+    def _position(self, question: messages.PositionQuestion) -> object:
         """Show what to set, until a key is pressed; where none is for a moment, ask for a reading to show."""
         if question is not self._asked:
             self._asked, self._answer = question, {}
@@ -254,7 +239,7 @@ class Terminal(Screen, Operator):
             key = self._keys.choice(0.0 if self._live else None)
         return {"answer": LOOK}
 
-    def _rotation(self, question: RotationQuestion) -> object:
+    def _rotation(self, question: messages.RotationQuestion) -> object:
         for pair in question.pairs:
             self._say(f"  {' and '.join(pair.pair)}, orthogonal {pair.orthogonal}")
         self._say(f"  {question.prompt}")
@@ -269,11 +254,11 @@ class Terminal(Screen, Operator):
             raise Stopped("stopped by the operator")
         return {"answer": "stop"} if key == "s" else None
 
-    def _review(self, question: Review) -> object:
+    def _review(self, question: messages.Review) -> object:
         """Show what was set and measured, its difference and noise, and ask whether it counts."""
         self.clear()
         self._ring()
-        rows = [(list(COLUMNS), None), *rows_of(question.readings, self._sensors)]
+        rows = [(list(COLUMNS), None), *messages.rows_of(question.readings, self._sensors)]
         for serial, reading in question.readings.items():
             if "" in reading.guidance.differences:
                 self._say(f"{serial}  {reading.guidance.in_words()[0]}")
@@ -286,7 +271,7 @@ class Terminal(Screen, Operator):
         self._hint("Enter accept", "r redo", "b back", "p another position", "q stop and keep")
         return self._answered({ENTER: "accept", "r": "redo", "b": "back"})
 
-    def _write(self, question: WriteQuestion) -> object:
+    def _write(self, question: messages.WriteQuestion) -> object:
         """Ask once more before the files are written."""
         files = question.files
         named = ", ".join(f"{path} (replaces the one there)" if os.path.exists(path) else path for path in files)
@@ -295,7 +280,7 @@ class Terminal(Screen, Operator):
         words = {ENTER: "yes", "y": "yes", "b": "back", "n": "quit"}
         return self._answered(words, quits="not written: the operator declined")
 
-    def _stop(self, question: StopAndKeep) -> object:
+    def _stop(self, question: messages.StopAndKeep) -> object:
         """Say why nothing can be written, and wait for the end."""
         self._ring()
         self._say(f"\n  {question.why}", "bold red")
@@ -327,7 +312,7 @@ class Terminal(Screen, Operator):
                 return key
             self._explain(key)
 
-    def _show(self, look: Look) -> None:
+    def _show(self, look: messages.Look) -> None:
         """Show the readings of all sensors, a row each, below their targets: what a row has no room for is left out."""
         readings, rows, targets = look.readings, [], ""
         width = max([6, *map(len, readings)])

@@ -13,29 +13,8 @@ from contextlib import ExitStack
 from math import atan2, cos, degrees, hypot, sin, sqrt
 from typing import TYPE_CHECKING, Any
 
+from tiltcal.bench import messages
 from tiltcal.bench.guidance import COLUMNS, UNCALIBRATED, level_sides, note_on, whether_all
-from tiltcal.bench.messages import (
-    Accepted,
-    AfterwardsQuestion,
-    Begin,
-    Done,
-    Live,
-    Look,
-    Poll,
-    PositionQuestion,
-    Progress,
-    Question,
-    Readings,
-    Refused,
-    Report,
-    Results,
-    Review,
-    RotationQuestion,
-    SessionEvent,
-    StopAndKeep,
-    WriteQuestion,
-    rows_of,
-)  # fmt: skip
 from tiltcal.bench.operators import LOOK, Operator, in_words
 from tiltcal.bench.page_server import PageServer, PageState
 from tiltcal.bench.page_token import PageToken
@@ -113,13 +92,13 @@ class WebOperator(Operator):
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._state, self._reports, self._hands_free, self._clock = state, reports, hands_free, clock
-        self._asked: Question | None = None
+        self._asked: messages.Question | None = None
         """The question that is shown; None where it is to be shown again."""
         self._target: Vector | None = None
         """What the last position that was asked for has point up."""
         self._taken = ""
         """The position that free hands have taken."""
-        self._begin = Begin(title="", positions=[], attitudes={}, headings=False, accepted=[], sensors={})
+        self._begin = messages.Begin(title="", positions=[], attitudes={}, headings=False, accepted=[], sensors={})
         self._readings: deque[tuple[float, dict[str, Vector]]] = deque()
         """Times, s, and directions by serial number, as the sensors read them."""
         self._before: dict[str, Vector] = {}
@@ -135,7 +114,7 @@ class WebOperator(Operator):
             sphere=None, results=[], live={}, log=[], sounds={}, read_ms=0, ended=False,
         )  # fmt: skip
 
-    def ask(self, question: Question) -> object:
+    def ask(self, question: messages.Question) -> object:
         """Return the answer of the page; to a position that nobody answers for a moment, ask for a reading to show."""
         begins = question != self._asked
         if begins:
@@ -144,35 +123,35 @@ class WebOperator(Operator):
         answer: dict[str, object] | None
         if free := self._free_answer(question):
             answer = self._state.withdraw() or {"answer": free}
-        elif isinstance(question, Poll):
+        elif isinstance(question, messages.Poll):
             answer = self._state.wait(0.0)
-        elif isinstance(question, PositionQuestion | AfterwardsQuestion):
+        elif isinstance(question, messages.PositionQuestion | messages.AfterwardsQuestion):
             answer = self._state.wait(0.0 if begins else LIVE_PAUSE)
         else:
             while (answer := self._state.wait(PATIENCE)) is None:
                 pass
         if answer is None:
-            return None if isinstance(question, Poll) else {"answer": LOOK}
+            return None if isinstance(question, messages.Poll) else {"answer": LOOK}
         self._asked = None
-        by_itself = isinstance(question, PositionQuestion) and answer == {"answer": free}
+        by_itself = isinstance(question, messages.PositionQuestion) and answer == {"answer": free}
         self._taken = question.subject if by_itself else ""
         self._state.show(refused="", doing="")
         if answer.get("answer") in ("redo", "back"):
             self._before = {}
         if answer.get("answer") == "quit":
-            declined = isinstance(question, WriteQuestion)
+            declined = isinstance(question, messages.WriteQuestion)
             raise Stopped("not written: the operator declined" if declined else "stopped by the operator")
         return answer
 
-    def tell(self, event: SessionEvent) -> None:
+    def tell(self, event: messages.SessionEvent) -> None:
         """Show an event, and list it where it has words."""
         match event:
-            case Begin():
+            case messages.Begin():
                 self._begin, self._before, self._target = event, {}, None
                 self._met = {}
                 title = "  ".join(filter(None, (event.title, event.length)))
                 self._state.show(title=title, positions=event.positions, accepted=event.accepted)
-            case Progress():
+            case messages.Progress():
                 # A person, or a table that asks nobody, sets the position now.
                 self._target = self._begin.attitudes.get(event.position)
                 self._guide = None
@@ -180,38 +159,38 @@ class WebOperator(Operator):
                 name, step = event.position, self._step(event.position)
                 self._state.show(sphere=self._sphere(event.accepted))
                 self._state.show(accepted=event.accepted, now=name, step=step, prompt=name, remaining=event.left)
-            case Look():
+            case messages.Look():
                 self._show_reading(event)
-            case Refused():
+            case messages.Refused():
                 self._before, self._taken = {}, ""
                 self._state.show(refused=event.why, doing="", samples=None, soak=None, **self._sound("refused"))
-            case Accepted():
+            case messages.Accepted():
                 measured = event.by_serial(self._begin.sensors).items()
                 self._before = {serial: self._direction(serial, one.mean) for serial, one in measured}
                 self._met[event.position] = next(iter(self._before.values()))
                 self._state.show(table=None, refused="", doing=f"accepted {event.position}")
-            case Done():
+            case messages.Done():
                 self._state.show(**self._sound("done"))
-            case Results():
+            case messages.Results():
                 self._state.show(results=event.results)
-            case Live():
+            case messages.Live():
                 self._state.show(live=event.tilts, **_moment())
-            case Report():
+            case messages.Report():
                 self._reports[f"/report/{event.sensor}"] = event.page
         if lines := in_words(event):
             listed = ({"kind": event.kind, "text": line.strip()} for line in lines)
             self._log = [*self._log, *listed][-LOGGED:]
             self._state.show(log=self._log)
 
-    def _show_question(self, question: Question) -> None:
+    def _show_question(self, question: messages.Question) -> None:
         """Show what is asked, in place of what was asked before."""
         positions = self._begin.positions
         fields: dict[str, object] = {"conditions": [], "samples": None, "soak": None}
         match question:
-            case PositionQuestion():
+            case messages.PositionQuestion():
                 self._target = question.up
                 fields |= {"prompt": question.prompt, "conditions": list(_conditions(question))}
-            case Review():
+            case messages.Review():
                 means = question.readings
                 fields |= {
                     "table": self._table(means),
@@ -219,14 +198,16 @@ class WebOperator(Operator):
                     "doing": "sampled: does it count?",
                 }
                 fields |= self._sound("sampled")
-            case RotationQuestion():
+            case messages.RotationQuestion():
                 pairs = [f"{' and '.join(pair.pair)}, orthogonal {pair.orthogonal}" for pair in question.pairs]
                 fields |= {"step": f"up to {question.turns} turns", "conditions": pairs, "prompt": question.prompt}
-            case StopAndKeep():
+            case messages.StopAndKeep():
                 fields |= {"accepted": positions, "step": "stop and keep", "prompt": question.why, "doing": ""}
-            case WriteQuestion() | AfterwardsQuestion():
+            case messages.WriteQuestion() | messages.AfterwardsQuestion():
                 prompt = (
-                    f"Write {', '.join(question.files)}?" if isinstance(question, WriteQuestion) else question.prompt
+                    f"Write {', '.join(question.files)}?"
+                    if isinstance(question, messages.WriteQuestion)
+                    else question.prompt
                 )
                 fields |= {"accepted": positions, "step": "everything is measured", "prompt": prompt, "doing": ""}
                 fields |= {"table": None, "guide": None, "remaining": None}
@@ -240,7 +221,7 @@ class WebOperator(Operator):
             f"{positions.index(position) + 1} of {len(positions)}   {position}" if position in positions else position
         )
 
-    def _show_reading(self, look: Look) -> None:
+    def _show_reading(self, look: messages.Look) -> None:
         """Show readings, how far they are from the position, and why the session waits."""
         now, readings = self._clock(), look.readings
         if look.why and self._readings and now - self._readings[-1][0] < PACE:
@@ -252,13 +233,13 @@ class WebOperator(Operator):
         self._guide = self._guided(readings)
         samples, seconds = look.samples, look.seconds
         free = self._hands_free and not look.why
-        waits = self._waits_for(self._asked) if free and isinstance(self._asked, PositionQuestion) else ""
+        waits = self._waits_for(self._asked) if free and isinstance(self._asked, messages.PositionQuestion) else ""
         doing = "" if samples else look.why or (waits and f"hands-free: {waits}")
         self._state.show(
             guide=self._guide, table=self._table(readings), doing=doing, samples=samples, soak=seconds, **_moment()
         )
 
-    def _guided(self, readings: Readings) -> dict[str, object] | None:
+    def _guided(self, readings: messages.Readings) -> dict[str, object] | None:
         """Return what the page draws of readings and the position that is set; None where there is no position.
 
         Where nothing predicts a reading, as of attitudes that nobody sets, there is no target.
@@ -320,16 +301,16 @@ class WebOperator(Operator):
             turns.append(_apart(first, second) if len(read) == len(rows) else 180.0)
         return min(1.0, MOVING / max(max(turns[1:], default=180.0), 1e-9))
 
-    def _free_answer(self, question: Question) -> str:
+    def _free_answer(self, question: messages.Question) -> str:
         """Return the answer that free hands give to a question; nothing where a person has to."""
         if not self._hands_free:
             return ""
-        if isinstance(question, Review) and question.position == self._taken:
+        if isinstance(question, messages.Review) and question.position == self._taken:
             return "accept" if all(one.guidance.fits for one in question.readings.values()) else ""
-        asked = isinstance(question, PositionQuestion) and self._readings and not self._waits_for(question)
+        asked = isinstance(question, messages.PositionQuestion) and self._readings and not self._waits_for(question)
         return "ready" if asked else ""
 
-    def _waits_for(self, question: PositionQuestion) -> str:
+    def _waits_for(self, question: messages.PositionQuestion) -> str:
         """Return why free hands do not take a position yet; empty where it is as expected, another one, and still."""
         guide, now = self._guide, self._readings[-1][1]
         for stated, what in (
@@ -348,9 +329,9 @@ class WebOperator(Operator):
             return "reads as the position before: a sensor that cannot see the turn asks a person: press Measure"
         return "" if guide["still"] >= 1.0 else "waits until it stands still"
 
-    def _table(self, readings: Readings) -> dict[str, object]:
+    def _table(self, readings: messages.Readings) -> dict[str, object]:
         """Return the table of readings, or of the means of a review."""
-        rows = list(rows_of(readings, self._begin.sensors))
+        rows = list(messages.rows_of(readings, self._begin.sensors))
         width = max((len(cells) for cells, _ in rows), default=1)
         calibrated = any(one.guidance.calibrated for one in readings.values())
         head = ["calibrated" if calibrated else "not calibrated yet", *COLUMNS[1:width]]
@@ -380,7 +361,7 @@ def _end(*, finished: bool) -> dict[str, object]:
     return {"step": "the session has ended", "prompt": said, "conditions": [], "doing": "", **empty}
 
 
-def _conditions(question: PositionQuestion) -> Iterator[str]:
+def _conditions(question: messages.PositionQuestion) -> Iterator[str]:
     """Yield what a position asks for besides its attitude."""
     if question.temperature is not None:
         yield f"at {question.temperature:g} °C"
