@@ -17,7 +17,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
-from math import inf, radians
+from math import cos, inf, radians, sin
 from typing import TypeVar
 
 import numpy as np
@@ -242,14 +242,21 @@ class Equations:
     def _directions(self, z: Array, shortened: Array) -> tuple[Array, Array, tuple[Array, Array] | None]:
         """Return mean gravity and its derivative by the angles, and how these follow lean and heading at each place."""
         rotations, by_heading = self._rotations, None
-        angles = z[self.errors[JIG]].reshape(-1, 2)[self.settings] + self._shared @ z[self.errors[REFERENCE]]
+        angles = z[self.errors[JIG]].reshape(-1, 2)[self.settings]
+        angles = angles + self._shared[..., 1:] @ z[self.errors[REFERENCE]][1:]
         if rotations is not None:
             lean, headings = z[self.errors[TABLE]], z[self.errors[HEADING]]
             if len(headings):
                 rotations = heading_rotations(headings[self.settings]) @ rotations
             angles = angles + rotations @ lean
             by_heading = rotations, (_PER_LEAN @ rotations) @ lean
-        up, by_angle = turned(self.gravity, self.basis, angles)
+        gravity, basis = self.gravity, self.basis
+        if (design := self.sensors[0].design).instrument is not None:
+            # Along an arc it would bend the plane, by more than a reference that repeats itself well leaves unseen.
+            askew = z[self.errors[REFERENCE].start] * radians(design.instrument.alignment)
+            turn = np.array([[cos(askew), -sin(askew), 0.0], [sin(askew), cos(askew), 0.0], [0.0, 0.0, 1.0]])
+            gravity, basis = gravity @ turn.T, turn @ basis
+        up, by_angle = turned(gravity, basis, angles)
         return up * (1.0 - shortened[self.settings, None]), by_angle, by_heading
 
     def _state_coefficients(self) -> None:
