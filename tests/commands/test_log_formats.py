@@ -102,6 +102,10 @@ def test_units_of_the_header_are_used_and_said_once(folder: Path) -> None:
     other.rename({"ax": "ax (m/s^2)", "ay": "ay (m/s^2)"}).write_csv(folder / "si.csv")
     found = json.loads(printed(folder, "noise", "si.csv", "--json"))
     assert (found["unit"], [*found["channels"]], found["interval"]) == ("m/s2", ["x", "y"], 0.01)
+    np.savetxt(folder / "still.txt", np.random.default_rng(2).normal((0.1, 0.2, 9.8), 0.01, (3000, 3)), fmt="%.4f")
+    found = json.loads(printed(folder, "noise", "still.txt", "--rate", "100", "--target", "0.01", "--json"))
+    assert (found["unit"], [*found["channels"]]) == ("m/s2", ["x", "y", "z"])
+    assert "the unit is m/s2 if these are accelerations: at rest they are as long as gravity" in found["remarks"]
     results = []
     for log, columns in (("rest.csv", ""), ("other.csv", "temperature=Temp")):
         done = tiltcal("apply", FIXTURES / "mavs.yaml", log, "--every", "10s", "--columns", columns, cwd=folder)

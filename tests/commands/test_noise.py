@@ -181,7 +181,7 @@ class TestUsage:
             (("log.csv", "-o", "other.csv"), "--output is for recording"),
             (("log.csv", "--sensor", "sca100t-d02", "--address", "sim:"), "not both"),
             (("--address", "sim:", "--samples", "10"), "--sensor"),
-            (("log.csv", "--target", "0.01"), "--target is in degrees"),
+            (("log.csv", "--unit", "count", "--target", "0.01"), "--target is in degrees"),
             (("log.csv", "--sensor", "sca100t-d02", "--unit", "V"), "one unit"),
             (("log.csv", "--sensor", "sca100t-d03"), "did you mean"),
             (("nowhere.parquet",), "cannot read"),

@@ -67,7 +67,8 @@ def command(
     _require_log_or_sensor(log, recorded)
     sensor, address, rate, output = (recorded[name] for name in ("sensor", "address", "rate", "output"))
     scale, channels = stated_scale(sensor, address, calibration, unit)
-    require_target(target, scale)  # before a sensor is recorded
+    if address is not None or scale.unit is not None:  # before a sensor is recorded
+        require_target(target, scale)
     if figure is not None:
         check_writable(figure, *(path for path in (log, calibration) if path is not None))
     interrupted, name = False, None

@@ -80,6 +80,7 @@ from tiltcal.stated_arguments import require_name
 
 R = TypeVar("R", FileRecord, SegmentsRecord)
 
+WARM = 5.0  # a span of temperatures beyond which free attitudes are not of one temperature, °C
 IDLE = 1e-6  # gravity along an axis that differs by less between positions determines nothing, g
 WEIGHTLESS = 0.5  # readings whose length is below this most of the time are without gravity, g
 UNSTATED = "1"  # stands for a unit that nothing states yet; it fits all
@@ -285,6 +286,10 @@ def _of_log(
     require_positions([*stated, *named], procedure, file=file)
     record, found = logs.read(sensor.channels, options["columns"], sensor.unit)
     record = with_signs(record, signs)
+    warmth = record.by_role.get(TEMPERATURE, np.empty(0))
+    span = float(np.nanmax(warmth) - np.nanmin(warmth)) if np.isfinite(warmth).any() else 0.0
+    if not procedure.known and span > WARM:
+        say(f"note: the temperature spans {span:.3g} °C, and a drift counts as zero here: take a ramp too, and combine")
     origin, fewest, holds = _origin(given, SegmentsRecord), WINDOWS[-1], None
     if judge is not None:
         _require_gravity(record.of(sensor.channels), sensor.unit)

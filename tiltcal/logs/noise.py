@@ -34,6 +34,7 @@ from tiltcal.logs.columns import column_names, locate_readings, named_columns, r
 from tiltcal.logs.formats import open_log
 from tiltcal.logs.log import LogReader, Progress
 from tiltcal.logs.numbers_and_times import clock_breaks
+from tiltcal.logs.recordings import unit_of_length
 from tiltcal.printable import counted, in_html
 from tiltcal.stated_arguments import require_above_zero
 
@@ -111,6 +112,13 @@ def scale_of(unit: str | None) -> NoiseScale:
     return NoiseScale(unit, {"*": OF_G[unit]}, f"unit {unit}") if unit in OF_G else NoiseScale(unit, {})
 
 
+def _unit_at_rest(columns: Sequence[Array]) -> str | None:
+    """Return the unit in which three channels at rest are as long as gravity; None where they are not."""
+    if any(not np.isfinite(column).any() for column in columns):
+        return None
+    return unit_of_length(np.array([[np.nanmean(column) for column in columns]]), columns, alone=True)
+
+
 RATE = Argument("rate", "HZ")
 
 
@@ -152,18 +160,25 @@ def characterise_readings(
     named = named_columns(columns, AXES)
     with open_log(readings, name=name, skip_bad_rows=skip_bad_rows, progress=progress) as log:
         header = readings_header(log, columns)
+        named |= header.guessed
         asked = tuple(axis for axis in AXES if axis in named)
         there = tuple(axis for axis in AXES if axis in header.columns)
         # With neither, x is looked for, and the message that it is not there says how to name it.
         channels = asked or channels or there or AXES[:1]
         if scale.unit is None and header.unit is not None:
             scale = scale_of(header.unit)
-        require_target(target, scale)
+        if scale.unit is not None:
+            require_target(target, scale)
         located = locate_readings(log, channels, named, scale.unit or "1")  # which fits every unit
         where = {channel: located[channel] for channel in channels}
         if rate is None:
             where[TIME] = _time_column(log, named)
         numbers = read_columns(log, where)
+    said = [*log.remarks, *log.clock_remarks]
+    if scale.unit is None and not header.units and (unit := _unit_at_rest(numbers.of(channels))):
+        scale = scale_of(unit)
+        said.append(f"the unit is {unit} if these are accelerations: at rest they are as long as gravity")
+    require_target(target, scale)
     samples, pace, name = numbers.of(channels), Pace(1.0 / (rate or 1.0), len(numbers)), numbers.name
     if rate is None:
         samples, pace = evenly_spaced(samples, numbers.by_role[TIME], name)
@@ -173,8 +188,7 @@ def characterise_readings(
     missing = {channel: pace.rows - noise.count for channel, noise in noises.items() if noise.count < pace.rows}
     moved = moved_rows(samples, [noise.step for noise in noises.values()])
     stuck = max(stuck_spans(samples), key=lambda span: span[1] - span[0], default=None)
-    said, per_g = (*log.remarks, *log.clock_remarks), scale.of(channels)
-    return SensorNoise(pace, noises, missing, numbers.faulty, moved, stuck, per_g, target, said)
+    return SensorNoise(pace, noises, missing, numbers.faulty, moved, stuck, scale.of(channels), target, said)
 
 
 def _time_column(log: LogReader, named: Mapping[str, str]) -> int:
