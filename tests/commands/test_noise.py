@@ -77,6 +77,13 @@ class TestOfALog:
         assert advice["seconds"] == pytest.approx(advice["samples"] * 0.01)
         result = noise(log, "--sensor", "sca100t-d02", "--target", "0.005")
         assert f"measure --samples {advice['samples']}:" in result.stdout
+        # By range: white noise of sigma / √n, whose averages of a hundred lie within about five standard deviations.
+        averages = as_json(log, "--sensor", "sca100t-d02")["channels"]["y"]["averages"]
+        by_range = as_json(log, "--sensor", "sca100t-d02", "--target", "0.05")["recommendation"]["channels"]["y"]
+        ranges = [(one["samples"], one["range_degrees"]) for one in averages]
+        above = next(n for n, width in reversed(ranges) if width > 0.05)
+        assert above < by_range["samples_by_range"] <= 10 * above
+        assert f"y {by_range['samples_by_range']}" in noise(log, "--sensor", "sca100t-d02", "--target", "0.05").stdout
 
     def test_a_figure(self, tmp_path: Path) -> None:
         log = written(tmp_path / "log.csv", counts(4000))

@@ -17,7 +17,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from math import degrees, log, nan, pi, sqrt
+from itertools import pairwise
+from math import ceil, degrees, log, nan, pi, sqrt
 from typing import Literal
 
 import numpy as np
@@ -305,6 +306,23 @@ def sample_size(noise: ChannelNoise, interval: float, target: float | None = Non
     if target is not None and np.any(u <= target):
         return int(samples[np.argmax(u <= target)]), "target"
     return _useful(noise, samples, u)
+
+
+def sample_size_by_range(noise: ChannelNoise, target: float | None = None) -> int | None:
+    """Return the number of samples whose averages lie within a target, or from which on more bring them no nearer.
+
+    None where those of the longest averages do not. Between the sizes of the source's Table I it is interpolated.
+    """
+    sizes = [(average.samples, average.range) for average in noise.averages]
+    for (n, width), (more, narrower) in pairwise(sizes):
+        if target is None and narrower > (1.0 - _GAIN) * width:
+            return n
+        if target is not None and width <= target:
+            return n
+        if target is not None and narrower <= target:
+            share = log(width / target) / log(width / narrower) if narrower else 1.0
+            return ceil(float(n * (more / n) ** share))
+    return sizes[-1][0] if target is None or sizes[-1][1] <= target else None
 
 
 def _useful(noise: ChannelNoise, samples: NDArray[np.int64], u: Array) -> tuple[int, Limit]:

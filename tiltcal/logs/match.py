@@ -119,8 +119,11 @@ def match_log(
     if loops and not online:
         raise UsageError(option="loops", why=("needs ", Argument("online")))
     if online and phase is None:
-        why = ("needs ", Argument("phase"), ": without an encoder, p and q are matched from the whole record")
-        raise UsageError(option="online", why=why)
+        raise UsageError(
+            option="online",
+            why=("needs ", Argument("phase"), ": without an encoder, p and q are matched from the whole record"),
+            advice=("name the column of the stage angle, or record the log and leave ", Argument("online"), " out"),
+        )
     channels = tuple(dict.fromkeys(channel for pair in pairs for channel in pair.channels))
     with (
         open_log(data, skip_bad_rows=skip_bad_rows, live=online, progress=progress) as log,

@@ -23,6 +23,7 @@ from tiltcal.core.noise import (
     NoiseScale,
     characterise,
     sample_size,
+    sample_size_by_range,
 )
 from tiltcal.dialect import TIME
 from tiltcal.drivers.bus.address import parse_address
@@ -332,6 +333,11 @@ class SensorNoise:
         return {settles: sizes[settles]} | sizes
 
     @property
+    def by_range(self) -> dict[str, int | None]:
+        """How many samples each channel needs by the range of averages, as the source's Table I judges too."""
+        return {name: sample_size_by_range(one, self._targets.get(name)) for name, one in self.channels.items()}
+
+    @property
     def samples(self) -> int:
         """How many samples a position needs."""
         return max(_FEWEST_SAMPLES, next(iter(self.advice.values()))[0])
@@ -380,6 +386,8 @@ class SensorNoise:
         sizes = ", ".join(f"{channel} {_sized(channel, u, self.scale)}" for channel, u in self.uncertainty.items())
         yield f"  its mean is uncertain by {sizes}"
         yield f"  {settles}: {_WHY[limit]}"
+        ranges = ", ".join(f"{channel} {n or 'more than there are'}" for channel, n in self.by_range.items())
+        yield f"  samples by the range of averages: {ranges}"
         yield from (f"  {channel} does not meet {self.target:g}°" for channel, met in self.met.items() if not met)
         if self.scale.source:
             yield f"  degrees of an axis near level, by the {self.scale.source}"
@@ -412,6 +420,7 @@ class SensorNoise:
                     channel: {
                         "samples": self.advice[channel][0],
                         "limit": self.advice[channel][1],
+                        "samples_by_range": self.by_range[channel],
                         **_both("uncertainty", channel, u, scale),
                         "met": met.get(channel),
                     }
