@@ -221,7 +221,7 @@ class TestRefusals:
         path = small(tmp_path)
         said = refused(match(path, "--pair", "a1,a2", "--orthogonal", "a5", "--phase", "theta"), InputError)
         assert "there is no column 'a5'; the log has time, theta, a1, a2, a3, a4" in said
-        assert said.endswith("Name it with --pairs NAME")
+        assert "Name it with --pairs NAME" in said
         said = refused(match(path, *PAIR, "--phase", "angle"), InputError)
         assert said.endswith("Name it with --phase NAME")
 
@@ -267,8 +267,15 @@ class TestApply:
         taken = disk.record(gradient=GRADIENT, start=10.0, noise=3e-5)
         path = taken.write(tmp_path / "disk.csv")
         assert match(path, *BOTH, "--phase", "theta", "-o", tmp_path / "both.yaml").exit_code == 0
-        rows = csv.DictReader(apply(tmp_path / "both.yaml", path).stdout.splitlines())
+        rows = list(csv.DictReader(apply(tmp_path / "both.yaml", path).stdout.splitlines()))
         found = np.array([float(row["gradient"]) for row in rows])
         expected = (2 * 3.383 * GRADIENT[0], 4 * 3.383 * GRADIENT[1])
         # The wander multiplies the common acceleration alone; what is left of it at twice the turning is far smaller.
         assert disk.judged(taken, found, harmonic=2) == pytest.approx(expected, abs=1e-3 * np.hypot(*expected))
+        by_turn = np.array([[float(row[f"gradient_{part}"] or "nan") for part in ("sin", "cos")] for row in rows])
+        begun = int(np.argmax(np.isfinite(by_turn[:, 0])))
+        assert 1 <= np.count_nonzero(np.diff(np.unwrap(taken.theta[: begun + 1], period=360.0) // 360.0)) <= 2
+        assert np.isfinite(by_turn[begun:]).all()
+        assert by_turn[begun:].mean(axis=0) == pytest.approx(expected, abs=2e-3 * np.hypot(*expected))
+        alone = np.unique(by_turn[begun:], axis=0)
+        assert np.abs(alone - expected).max() < 0.05 * np.hypot(*expected)

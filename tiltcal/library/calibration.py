@@ -325,7 +325,7 @@ class PairCalibration(SavedCalibration):
 
     def compensation(self) -> PairCompensation:
         """Return the matched sums and the gradient signal of readings in arrays."""
-        return PairCompensation(self.matchings)
+        return PairCompensation(self.matchings, self.phase)
 
     @overload
     def apply(self, frame: Mapping[str, Any], *, columns: Mapping[str, str] | str = "") -> dict[str, Any]: ...
@@ -334,12 +334,13 @@ class PairCalibration(SavedCalibration):
     def apply(self, frame: Frame, *, columns: Mapping[str, str] | str = "") -> Frame: ...
 
     def apply(self, frame: Any, *, columns: Mapping[str, str] | str = "", **options: Any) -> Any:
-        """Add the matched sum of each pair to a frame and, with both pairs, the gradient signal.
+        """Add the matched sum of each pair to a frame and, with both pairs, the gradient, whole and turn by turn.
 
         Parameters
         ----------
         frame
-            As :meth:`Calibration.apply` takes it: a column for each accelerometer by its name in the pairs.
+            As :meth:`Calibration.apply` takes it: a column for each accelerometer by its name in the pairs,
+            and of both pairs one for the stage angle, degrees.
         columns : mapping of str to str, or str
             The column of each of them, such as ``{"a1": "Q1"}``; without it, the column of its name.
         **options

@@ -116,4 +116,6 @@ def describe(
         return attributes | {"long_name": _UNCERTAINTIES[lead].format(quantity) + whose}
     beside = [sensor + column for column in ("flag", "reason", *(f"{one}{quantity}" for one in _UNCERTAINTIES))]
     attributes["ancillary_variables"] = " ".join(column for column in beside if column in added)
+    if kind == "gradient" and of:
+        return attributes | {"long_name": f"{of} component of the gradient signal at twice the turning"}
     return attributes | {"long_name": _LONG_NAMES.get(kind, "gradient signal").format(of) + whose}

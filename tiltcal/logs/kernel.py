@@ -289,7 +289,7 @@ def _of_pairs(calibration: PairRecord, options: ApplyOptions, origin: Mapping[st
             raise UsageError(
                 f"--{name.replace('_', '-')} is for tilt calibrations; {file} is of pairs, which have no tilt"
             )
-    matched = PairCompensation(calibration.matchings)
+    matched = PairCompensation(calibration.matchings, calibration.spin.phase)
     return PreparedSensor(lambda values: matched(values.readings), matched.columns, matched.channels, None, origin)
 
 
