@@ -13,7 +13,7 @@ import json
 import re
 from collections import deque
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from functools import cached_property, partial
 from math import isfinite
@@ -23,9 +23,10 @@ from tiltcal.dialect import AXES, TEMPERATURE, TIME, flattened, labels_of, meani
 from tiltcal.drivers.bus import Link
 from tiltcal.drivers.bus.address import Address, parse_address
 from tiltcal.drivers.bus.clock import Clock
-from tiltcal.drivers.model import OF_G, OF_TILT, Model, Reading, Sensor
+from tiltcal.drivers.model import OF_G, OF_TILT, Model, Reading, Sensor, printed_in
 from tiltcal.drivers.virtual import HeldPose, StreamingPart, Tolerances, Truth
 from tiltcal.errors import BusError
+from tiltcal.units import CONVENTIONS
 
 CHUNK = 4096
 """The largest number of bytes to take at once."""
@@ -195,8 +196,6 @@ class ColumnLayout:
         """Return the cells of a line as it is printed, each with its label, empty without one."""
         whole = line.decode(errors="replace").strip()
         text = without_clock(whole)[1].strip()
-        if not text.replace("\t", " ").isprintable():
-            return []
         if text.startswith("{"):
             try:
                 return [(key, cell.strip()) for key, cell in flattened(json.loads(text)).items()]
@@ -205,9 +204,7 @@ class ColumnLayout:
         texts, numbers = printed(text)
         if any(character.isalpha() for around in texts for character in around):  # labels or units
             # A number with something stuck to it is none.
-            sound = "\ufffd" not in text and not any(
-                character.isdigit() for around in texts for character in _WORD.sub("", around)
-            )
+            sound = not any(character.isdigit() for around in texts for character in _WORD.sub("", around))
             if sound and len(numbers) == len(self.names):
                 return list(zip(labels_of(texts), numbers, strict=True))
         # A column that is skipped may hold words, or the clock.
@@ -293,17 +290,19 @@ def require_name(address: Address, name: str) -> None:
         address.refuse(f"column {name!r}: did you mean {TEMPERATURE!r}?")
 
 
-def virtual_columns(columns: ColumnLayout, truth: Truth, fixture: HeldPose, clock: Clock) -> StreamingPart:
+def virtual_columns(columns: ColumnLayout, unit: str, truth: Truth, fixture: HeldPose, clock: Clock) -> StreamingPart:
     """Return a device that prints the columns of an address 100 times a second; a skipped column is 0."""
+    truth = replace(truth, angles=unit in OF_TILT)
 
     def line(number: int) -> bytes:
-        numbers = {name: truth.sample(name, fixture, clock, number) for name in columns.channels}
+        numbers = {n: printed_in(truth.sample(n, fixture, clock, number), unit) for n in columns.channels}
         return columns.line({**numbers, TEMPERATURE: fixture.temperature() + truth.thermometer_error})
 
     return StreamingPart(truth, fixture, clock, line)
 
 
 LIMITS = Tolerances(offset=0.05, sensitivity=0.03, cross=0.02, drift=0.001)
+OF_ANGLES = replace(LIMITS, cross=0.008)
 """Of a virtual device; they are ours."""
 
 
@@ -315,6 +314,7 @@ class Scale(NamedTuple):
     sensitivity: float | None = None
     low: float = -RAIL
     high: float = RAIL
+    angles: str | None = None  # the convention of its angles, where that is stated
 
     def objection(self) -> str:
         """Return what cannot be; empty where all can."""
@@ -331,7 +331,10 @@ def scale_at(address: Address, channels: tuple[str, ...], unit_option: str = "un
             "model gradiometer"
         )
     stated = {name: address.number(name) for name in SCALE_OPTIONS if name in address.options}
-    scale = Scale(address.text(unit_option, "g" if address.simulated else UNSTATED), **stated)
+    unit = address.text(unit_option, "g" if address.simulated else UNSTATED)
+    scale = Scale(unit, **stated, angles=address.text("angles", "") or None)
+    if scale.angles is not None and scale.angles not in CONVENTIONS:
+        address.refuse(f"option angles is {' or '.join(CONVENTIONS)}, not {scale.angles}")
     if why := scale.objection():
         address.refuse(f"option {why}")
     return scale
@@ -345,6 +348,7 @@ def model_of_numbers(scale: Scale, channels: tuple[str, ...], thermometer: bool,
     return Model(
         channels=channels,
         unit=scale.unit,
+        angles=scale.angles,
         offset=offset,
         sensitivity=sensitivity,
         offset_spread=OFFSET_SPREAD if scale.offset is not None or default is not None else ANYWHERE,
@@ -352,7 +356,9 @@ def model_of_numbers(scale: Scale, channels: tuple[str, ...], thermometer: bool,
         scaled=default is not None or scale.sensitivity is not None,
         rails=(scale.low, scale.high),
         thermometer=thermometer,
-        default_truth=lambda seed: LIMITS.draw(channels, sensitivity, abs(sensitivity) * 0.001, seed, offset),
+        default_truth=lambda seed: (OF_ANGLES if scale.unit in OF_TILT else LIMITS).draw(
+            channels, sensitivity, abs(sensitivity) * 0.001, seed, offset
+        ),
         **facts,
     )
 
@@ -360,16 +366,17 @@ def model_of_numbers(scale: Scale, channels: tuple[str, ...], thermometer: bool,
 def serial_columns_at(address: Address) -> Model:
     """Return the device that prints the numbers of an address."""
     columns = columns_of(address, "x,y,temperature" if address.simulated else None)
+    scale = scale_at(address, columns.channels)
     return model_of_numbers(
-        scale_at(address, columns.channels),
+        scale,
         columns.channels,
         TEMPERATURE in columns.names,
         name="serial-columns",
         title="any device that prints numbers on a line",
         addresses=("serial:///dev/ttyUSB0?columns=x,y,temperature",),
         driver=partial(ColumnsSensor, columns),
-        twin=partial(virtual_columns, columns),
-        options=("columns", "separator", "unit", *SCALE_OPTIONS),
+        twin=partial(virtual_columns, columns, scale.unit),
+        options=("columns", "separator", "unit", "angles", *SCALE_OPTIONS),
         configure=serial_columns_at,
     )
 

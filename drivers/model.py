@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from math import asin, degrees, sqrt, tan
+from math import degrees, sqrt, tan
 from typing import NamedTuple
 
 from tiltcal.drivers.bus import Device, Link
@@ -16,11 +16,11 @@ from tiltcal.errors import UsageError
 
 ACCELERATION = ("m/s2", "m/s^2", "m/s²")
 
-OF_G = {"g": 1.0, "mg": 1000.0, "mm/s2": 9806.65, **dict.fromkeys(ACCELERATION, 9.80665)}
+OF_G = {"g": 1.0, "mg": 1000.0, **dict.fromkeys(ACCELERATION, 9.80665)}
 """What 1 g is in the units that imply a nominal sensitivity."""
 
 OF_TILT = {
-    **dict.fromkeys(("deg", "°"), degrees(1.0)),
+    **dict.fromkeys(("degree", "deg", "°"), degrees(1.0)),
     "rad": 1.0,
     **dict.fromkeys(("mrad", "mm/m"), 1000.0),
     "%": 100.0,
@@ -29,16 +29,13 @@ OF_TILT = {
 }
 """What a tilt of 1 rad is in the units of angle and slope, near level: a change of 1 g there."""
 
-SLOPES = ("mm/m", "%")
-"""The units of those that are the tangent of a tilt."""
+SLOPES = {unit: OF_TILT[unit] for unit in ("mm/m", "%")}
+"""The units of those that are the tangent of a tilt, with what a tangent of 1 is."""
 
 
-def as_tilt(linear: float, unit: str) -> float:
-    """Return what a device prints in a unit of angle or slope where one that is linear in gravity has a reading."""
-    if (scale := OF_TILT.get(unit)) is None:
-        return linear
-    tilt = asin(min(max(linear / scale, -1.0), 1.0))
-    return scale * (tan(tilt) if unit in SLOPES else tilt)
+def printed_in(reading: float, unit: str) -> float:
+    """Return what a device prints in a unit: of a slope its tangent, in place of an angle as long near level."""
+    return SLOPES[unit] * tan(reading / SLOPES[unit]) if unit in SLOPES else reading
 
 
 NO_TWIN_MODELS = (
@@ -140,6 +137,7 @@ class Model(Device):
     title: maker, part and interface.
     channels, unit: names of the readings (x, y, z of a tilt sensor, any others of another device); their unit, such as
         ``count``, ``V`` or ``duty``.
+    angles: the convention of readings that are angles, one of CONVENTIONS; None where it is not stated.
     offset, sensitivity: nominal reading at 0 g, unit; nominal, unit/g.
     offset_spread, sensitivity_spread: standard deviation between parts, g; relative.
     rails: a reading at or beyond one of these is not a measurement, unit.
@@ -164,6 +162,7 @@ class Model(Device):
     title: str
     channels: tuple[str, ...]
     unit: str = "count"
+    angles: str | None = None
     offset: float = 0.0
     sensitivity: float
     offset_spread: float

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from functools import cache
 from hashlib import blake2b
 from itertools import pairwise
-from math import copysign, cos, exp, pi, radians, sin
+from math import asin, copysign, cos, exp, pi, radians, sin, sqrt
 from typing import TYPE_CHECKING
 
 from tiltcal.errors import BusError
@@ -90,6 +90,7 @@ class Truth:
     supply: of an analog sensor, V; its coefficients always refer to 5 V.
     mounting: rotation of the sensor on the fixture: roll, pitch, yaw, degrees.
     jig, ambient, time_constant: of its :class:`Fixture`.
+    angles: whether a channel reads its own tilt, asin of the component of gravity along its row, in place of that.
     """
 
     channels: tuple[str, ...]
@@ -109,11 +110,15 @@ class Truth:
     ambient: float = AMBIENT
     time_constant: float = 0.0
     faults: tuple[Fault, ...] = ()
+    angles: bool = False
 
     def reading(self, channel: str, gravity: Vector, temperature: float) -> float:
         """Return the reading of a channel without noise, in its unit, for up in the sensor frame, g, and °C."""
         row, (x, y, z) = self.sensitivity[channel], gravity
         signal = row.get("x", 0.0) * x + row.get("y", 0.0) * y + row.get("z", 0.0) * z
+        if self.angles:
+            size = sqrt(sum(value**2 for value in row.values()))
+            signal = size * asin(min(max(signal / size, -1.0), 1.0))
         own = row[channel]
         bend = own * _powers(self.nonlinearity.get(channel, ()), signal / own, 2)
         dt = temperature - self.reference

@@ -10,6 +10,7 @@ from typing import Any, cast
 
 from tiltcal.errors import Argument, InputError, UsageError
 from tiltcal.printable import did_you_mean
+from tiltcal.units import CONVENTIONS
 
 LEAST, MOST = 1e-9, 1e9
 """Bounds of the size of a number that is stated, in a file or an option, and is not 0."""
@@ -129,3 +130,9 @@ def require_name(text: object, what: str) -> None:
     if not isinstance(text, str) or not text.strip():
         raise UsageError(f"{what} is {text!r}: write a text")
     require_printable(text, what)
+
+
+def require_convention(option: str, convention: Any) -> None:
+    """Refuse a convention of angles that is none."""
+    if convention is not None and convention not in CONVENTIONS:
+        raise UsageError(option=option, why=f"is {' or '.join(CONVENTIONS)}, not {shown(convention)}")

@@ -51,6 +51,9 @@ lux | lx
 """)
 """Units of what stands beside the readings of a log."""
 
+CONVENTIONS = "inclination", "euler"
+"""What readings that are angles mean: each channel the arcsine of its component of gravity, or pitch and roll."""
+
 TEMPERATURES: Mapping[str, tuple[float, float]] = {"°C": (1.0, 0.0), "°F": (5.0 / 9.0, 32.0), "K": (1.0, 273.15)}
 """Of each unit of temperature: °C in one of its degrees, and its reading at 0 °C."""
 

@@ -10,7 +10,7 @@ import pytest
 
 from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.bus.clock import VirtualClock
-from tiltcal.drivers.model import Model, Reading, Sensor, as_tilt
+from tiltcal.drivers.model import OF_TILT, Model, Reading, Sensor, printed_in
 from tiltcal.drivers.virtual import Fixture
 from tiltcal.errors import HardwareError
 
@@ -59,7 +59,9 @@ class VirtualDevice:
         return 6 * noise + 1.5 * self.model.resolution + 1e-4 * abs(self.model.sensitivity) + ticks
 
     def expected(self, channel: str) -> float:
-        return as_tilt(self.truth.reading(channel, self.fixture.gravity, self.fixture.temperature()), self.model.unit)
+        unit = self.model.unit
+        truth = replace(self.truth, angles=unit in OF_TILT)
+        return printed_in(truth.reading(channel, self.fixture.gravity, self.fixture.temperature()), unit)
 
     def fresh(self) -> Reading:
         """A reading of what is there now."""

@@ -12,6 +12,7 @@ from tiltcal.bench.guidance import COARSE, JIGS, SensorGuidance, calibrated_guid
 from tiltcal.bench.settle import Unsettled
 from tiltcal.calibration.measurement import Measurement, missing_temperature
 from tiltcal.calibration.record import compensation_of
+from tiltcal.core.angle_readings import AngleReadings
 from tiltcal.core.attitude import Vector
 from tiltcal.core.compensation import Compensation
 from tiltcal.core.detection import (
@@ -25,7 +26,7 @@ from tiltcal.core.detection import (
 )
 from tiltcal.core.plausibility import ExpectedReadings
 from tiltcal.core.samples import resolution
-from tiltcal.drivers.model import Model, Reading
+from tiltcal.drivers.model import OF_TILT, SLOPES, Model, Reading
 from tiltcal.files.bench import BenchSensor
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.procedure import FreePositions, MountingCompletion, Position
@@ -148,7 +149,12 @@ class Expectations:
 
     def _learnt(self, serial: str, model: Model) -> ExpectedReadings:
         readings = ExpectedReadings(
-            model.channels, model.offset, model.sensitivity, model.offset_spread, model.sensitivity_spread
+            model.channels,
+            model.offset,
+            model.sensitivity,
+            model.offset_spread,
+            model.sensitivity_spread,
+            AngleReadings(SLOPES.get(model.unit, 0.0)) if model.unit in OF_TILT else None,
         )
         for result in self._accepted:
             before = result.measurements[serial]

@@ -13,6 +13,7 @@ import numpy as np
 from tiltcal.bench.devices import Recorder, VirtualBench, connected, probe_devices
 from tiltcal.calibration.record import compensation_of
 from tiltcal.calibration.stated import stated_uncertainty
+from tiltcal.core.angle_readings import DEGREES
 from tiltcal.core.angle_uncertainty import CompensationWithUncertainty
 from tiltcal.core.flags import FLAGS, PASS, REASONS
 from tiltcal.core.thermal_lag import ThermalLag
@@ -58,6 +59,8 @@ def require_as_calibrated(calibration: CalibrationRecord, device: BenchSensor | 
     own = abs(coefficients.own_sensitivity(channel)) if channel in coefficients.axes else model.sensitivity
     filed = model if bench is None or bench.address is None else device.replaced(address=bench.address).wired
     other = (filed.sensitivity, filed.offset) != (model.sensitivity, model.offset)
+    if coefficients.angles is not None and coefficients.angles.slope:  # the model's is of the tangent
+        own *= coefficients.angles.slope / DEGREES
     if model.scaled and (other or max(own / model.sensitivity, model.sensitivity / own) > OTHER_SCALE):
         raise InputError(
             f"{of}another range or scale, {own:.5g} {identity.unit}/g: at {device.address} it is nominally "

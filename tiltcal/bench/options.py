@@ -12,6 +12,7 @@ from tiltcal.options import Option
 from tiltcal.stated_arguments import (
     require_above_zero,
     require_boolean,
+    require_convention,
     require_from_zero,
     require_path,
     require_whole,
@@ -103,6 +104,15 @@ class MeasureOptions(TypedDict, total=False):
     jig: Annotated[float | None, _u("a set angle; without it, it is estimated from the residuals")]
     table_lean: _Lean
     heading: Annotated[float | None, _u("a heading", name="heading-uncertainty")]
+    angles: Annotated[
+        str | None,
+        Option(
+            "Of a sensor that prints angles: inclination (each axis by itself) or euler (pitch and roll).",
+            "CONVENTION",
+            _KNOWN,
+            check=require_convention,
+        ),
+    ]
     alignment: Annotated[
         float | None,
         Option(

@@ -90,6 +90,7 @@ def new_setup(
     settle: float | None = None,
     bases: Mapping[str, BaseFile] | None = None,
     typical: bool = False,
+    angles: str | None = None,
 ) -> Setup:
     """Return the setup of a new session.
 
@@ -131,6 +132,7 @@ def new_setup(
             thermometer=None if bench.thermometer is None else bench.thermometer.uncertainty,
             table_lean=bench.table_lean,
             heading=bench.heading,
+            angles=angles,
             **_sampling(procedure, samples, settle),
         ),
         procedure=dict(procedure.record),

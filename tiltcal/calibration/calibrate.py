@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
+from tiltcal.calibration.angle_units import finished, in_degrees, remarks, with_convention
 from tiltcal.calibration.fit import calibrate_free, fit_jointly
 from tiltcal.calibration.measurement import (
     BenchUncertainty,
@@ -41,15 +42,18 @@ def calibrate(
     typical_temperature: bool = False,
     table: bool = False,
     gravity: float | None = None,
+    angles: str | None = None,
     settings: Mapping[str, Any] | None = None,
 ) -> list[CalibrationRecord]:
     """Calibrate the sensors of one fixture by the positions of a procedure, which they share; a record for each."""
     own: Mapping[str, Any] = settings or {}
     for sensor in sensors:
         require_own_readings(sensor)
+    measured, sensors = sensors, [in_degrees(sensor, procedure, angles) for sensor in sensors]
     step = max((sensor.thermometer or 0.0 for sensor in sensors), default=0.0)
     known = bench if bench.thermometer is not None else replace(bench, thermometer=step or None)
     part = ""
+    sensors = [with_convention(sensor, procedure, known) for sensor in sensors]
     bases = [(sensor.base, sensor.measurements) for sensor in sensors if sensor.base is not None]
     if table and isinstance(procedure, Positions):
         for sensor in sensors:
@@ -88,6 +92,10 @@ def calibrate(
     if table and not procedure.needs_base:
         found = [_of_table(record, its.measurements) for record, its in zip(found, sensors, strict=True)]
     found = [replace(record, procedure=record.procedure.replaced(**own)) for record in found]
+    found = [
+        finished(record, remarks(before, sensor))
+        for record, before, sensor in zip(found, measured, sensors, strict=True)
+    ]
     return found if gravity is None else [_of_local_gravity(record, gravity) for record in found]
 
 

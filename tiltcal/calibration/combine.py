@@ -272,6 +272,7 @@ def _design(sessions: Sequence[CombinedSession]) -> Design:
         heading=max(fit.heading_degrees or 0.0 for fit in fits),
         thermometer=max(fit.thermometer_celsius or fit.thermometer_estimated_celsius or 0.0 for fit in fits),
         nonlinearity=max(bends, default=0),
+        angles=sessions[0].coefficients.angles,
     )
     measured = {name for session in sessions for name in session.measured}
     priors: dict[str, Prior] = {}

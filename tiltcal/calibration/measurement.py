@@ -14,12 +14,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from tiltcal.core.angle_readings import DEGREES
 from tiltcal.core.attitude import STRAIGHT, Orientation
 from tiltcal.core.model import AXES, Coefficients
 from tiltcal.core.plausibility import UNKNOWN_OFFSET
 from tiltcal.core.rounding import round_to, significant
 from tiltcal.core.samples import SampleSummary
-from tiltcal.drivers.model import OF_G, Model
+from tiltcal.drivers.model import OF_G, OF_TILT, Model
 from tiltcal.errors import Argument, EstimateError, UsageError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
 from tiltcal.files.procedure import PositionProcedure
@@ -192,23 +193,24 @@ def require_own_readings(sensor: MeasuredSensor) -> None:
 def judge_channels(sensor: MeasuredSensor, found: Estimate) -> tuple[str, ...]:
     """Return remarks on the wiring that the sensitivities show; refused where one is zero or two are alike."""
     u, factors, coefficients = found.uncertainty(), found.uncertain.by_name(found.uncertain.factors), found.coefficients
-    rows = dict(zip(coefficients.channels, coefficients.sensitivity, strict=True))
+    near_level, unit = coefficients.per_radian, sensor.sensor.fitted_unit
+    rows = dict(zip(coefficients.channels, near_level * coefficients.sensitivity, strict=True))
     remarks: list[str] = []
     for channel, row in rows.items():
         sensitivity, axis = max((abs(float(value)), axis) for axis, value in zip(coefficients.axes, row, strict=True))
         name = f"sensitivity.{channel}.{axis}"
         largest = max(abs(measurement.summaries[channel].mean) for measurement in sensor.measurements)
-        expanded = factors.get(name, 2.0) * u[name]
+        expanded = near_level * factors.get(name, 2.0) * u[name]
         usual = sensor.nominal.sensitivity if sensor.nominal is not None and sensor.nominal.scaled else 0.0
-        usual = abs(usual) or OF_G.get(sensor.sensor.unit, 0.0)
+        usual = abs(usual) or near_level_of(unit)
         step = max(measurement.summaries[channel].resolution for measurement in sensor.measurements)
-        coarse = f"the numbers of {channel} have a step of {step:g} {sensor.sensor.unit}"
+        coarse = f"the numbers of {channel} have a step of {step:g} {unit}"
         reacts = usual and sensitivity > usual / CLEARLY  # as much as it should, however uncertain
         if not reacts and sensitivity <= max(REACTION * expanded, ROUNDING * largest):
             raise EstimateError(
                 f"{channel} of {sensor.sensor.serial} does not react to gravity: its sensitivity is "
                 f"{significant(sensitivity, 3):g} ± {significant(expanded, 2):g} "
-                f"{sensor.sensor.unit}/g; "
+                f"{unit}/g; "
                 + (
                     f"{coarse}: give them with more digits"
                     if step > STEP * sensitivity
@@ -221,7 +223,12 @@ def judge_channels(sensor: MeasuredSensor, found: Estimate) -> tuple[str, ...]:
         angle = degrees(acos(min(abs(float(a @ b)) / float(np.linalg.norm(a) * np.linalg.norm(b)), 1.0)))
         if angle < LEAST_ANGLE:
             raise EstimateError(f"{first} and {second} answer to gravity alike, {angle:.1f}° apart", advice=COPIES)
-    return (*remarks, *remarks_on_wiring(coefficients, sensor.sensor.unit))
+    return (*remarks, *remarks_on_wiring(coefficients, unit))
+
+
+def near_level_of(unit: str) -> float:
+    """Return what 1 g, or near level a radian, is in a unit; 0 where the unit does not say it."""
+    return OF_G.get(unit) or OF_TILT.get(unit, 0.0)
 
 
 def remarks_on_wiring(coefficients: Coefficients, unit: str) -> Iterator[str]:
@@ -240,6 +247,10 @@ def remarks_on_wiring(coefficients: Coefficients, unit: str) -> Iterator[str]:
         if axis == channel and coefficients.own_sensitivity(channel) < 0.0:
             yield f"the sign of {channel} is turned: it reads less where +{channel} points up; look at how it sits"
     for channel, row in zip(coefficients.channels, coefficients.sensitivity, strict=True):
-        size, usual = float(np.linalg.norm(row)), OF_G.get(unit, 0.0)
+        size, usual = coefficients.per_radian * float(np.linalg.norm(row)), near_level_of(unit)
         if usual and not usual / CLEARLY < size < usual * CLEARLY:
-            yield f"{channel} reads {size:.3g} {unit} for 1 g, which is {usual:.3g} {unit}: are the readings in {unit}?"
+            half = f"{channel} reads {size / 2:.3g} {unit} for 0.5 g, which is {usual / 2:.3g} {unit}"
+            tilts, between = unit in OF_TILT, DEGREES / CLEARLY < size < DEGREES * CLEARLY
+            other = "degrees" if between and not tilts else f"in {unit}"
+            other = "components of gravity, in g" if tilts and size < CLEARLY else other
+            yield f"{half}: are the readings {other}?"

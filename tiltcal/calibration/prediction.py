@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from tiltcal.calibration.angle_units import FEWER, identified, too_steep
 from tiltcal.calibration.fit import covered_tilts
 from tiltcal.calibration.measurement import BenchUncertainty
 from tiltcal.calibration.priors import design_of
@@ -21,6 +22,7 @@ from tiltcal.core.estimation.positions import Design, Observation
 from tiltcal.core.model import Array, Limits
 from tiltcal.core.samples import rounding_of_means
 from tiltcal.drivers.model import Model
+from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
 from tiltcal.files.coefficients import ANGLES
 from tiltcal.files.procedure import LevelCompletion, MountingCompletion, Position, PositionProcedure, Ramp
@@ -101,9 +103,12 @@ def predict(
             procedure = _along_ramp(procedure)
     if bench.thermometer is None:
         bench = replace(bench, thermometer=model.thermometer_rounding)
-    identity = SensorIdentity(model.name, "", model.unit, model.channels)
+    identity = identified(SensorIdentity(model.name, "", model.unit, model.channels, angles=model.angles))
     design, drift = design_of(identity, procedure, bench, nominal=model, base=base), _usual_drift(model, base)
-    planned = _planned(procedure.positions, design, model, orientation, scatter, samples)
+    kept = [one for one in procedure.positions if not too_steep(one.gravity, design.channels, identity.angle_readings)]
+    if not kept:
+        raise EstimateError(f"{procedure.name} leaves no position to {model.name}: {FEWER}")
+    planned = _planned(kept, design, model, orientation, scatter, samples)
     level = isinstance(procedure, LevelCompletion)
     found = predict_uncertainty(
         design, planned, sensitivity=model.sensitivity, drift=drift, sensors=sensors, level=level

@@ -6,12 +6,13 @@ They come from the sensor's data sheet, from its nominal sensitivity, or from th
 from __future__ import annotations
 
 from dataclasses import replace
-from math import inf
+from math import inf, radians, sin
 
 from tiltcal.calibration.measurement import BenchUncertainty
+from tiltcal.core.angle_readings import DEGREES
 from tiltcal.core.estimation.positions import Design, Prior
 from tiltcal.core.model import AXES, values
-from tiltcal.drivers.model import Model, deviation_within
+from tiltcal.drivers.model import OF_TILT, Model, deviation_within
 from tiltcal.errors import Argument, EstimateError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
 from tiltcal.files.procedure import LevelCompletion, PositionProcedure
@@ -20,6 +21,9 @@ SENSITIVITY_FROM = (
     "name a ", Argument("sensor"), " model whose nominal one may stand in, state it in the address (sensitivity=..., "
     "unit per g), or name the sensor's own calibration with ", Argument("base"),
 )  # fmt: skip
+
+
+LEAN_OF_CHANNELS = radians(0.5)  # standard uncertainty of where a channel that prints angles points, radians
 
 
 def design_of(
@@ -35,6 +39,7 @@ def design_of(
     if not channels:
         axes = ", ".join(procedure.axes)
         raise EstimateError(f"{procedure.name} determines the axes {axes}; {sensor.model} has none of them")
+    angles = sensor.angle_readings
     design = Design(
         channels,
         procedure.axes or channels,
@@ -46,8 +51,11 @@ def design_of(
         heading=bench.heading or 0.0,
         instrument=bench.instrument,
         thermometer=bench.thermometer,
-        nonlinearity=procedure.nonlinearity,
+        nonlinearity=0 if angles else procedure.nonlinearity,
+        angles=angles,
     )
+    if procedure.axes and angles is not None:
+        return _with_lean(design, nominal, OF_TILT.get(sensor.unit, 0.0) if not angles.slope else DEGREES)
     if procedure.axes:
         return design if design.free or nominal is None else _with_data_sheet(design, nominal)
     if base is not None:
@@ -55,6 +63,9 @@ def design_of(
     if nominal is None or not nominal.scaled:
         raise EstimateError(f"{procedure.name} determines no sensitivity, and none is known", advice=SENSITIVITY_FROM)
     own, cross = Prior(nominal.sensitivity, nominal.sensitivity * nominal.sensitivity_spread), Prior(0.0)
+    if angles is not None:  # of slopes in degrees
+        size = 1.0 if angles.slope else nominal.sensitivity / DEGREES
+        own = Prior(size, abs(size) * nominal.sensitivity_spread)
     priors = {f"sensitivity.{c}.{axis}": own if axis == c else cross for c in channels for axis in design.axes}
     return replace(design, priors=priors)
 
@@ -73,6 +84,17 @@ def _with_data_sheet(design: Design, model: Model) -> Design:
     return replace(design, axes=axes, nonlinearity=order, priors=priors, nominal=scale)
 
 
+def _with_lean(design: Design, model: Model | None, usual: float) -> Design:
+    """Return the design of channels that print angles, with what no position determines of where they point."""
+    size = usual if model is None or not model.scaled or (design.angles and design.angles.slope) else model.sensitivity
+    axes = design.axes
+    if len(design.channels) <= 2 and "z" not in axes:
+        axes = (*axes, "z")
+    u = abs(size) / DEGREES * sin(LEAN_OF_CHANNELS)
+    priors = {f"sensitivity.{c}.z": Prior(0.0, u) for c in design.channels if "z" not in design.axes}
+    return replace(design, axes=axes, priors=priors, nominal=size)
+
+
 def _with_base(design: Design, base: CalibrationRecord, *, whole: bool) -> Design:
     """Return the design with the sensitivity of the sensor's own calibration, ``whole`` with temperature terms."""
     coefficients, u = base.coefficients, base.uncertainty
@@ -81,7 +103,7 @@ def _with_base(design: Design, base: CalibrationRecord, *, whole: bool) -> Desig
     priors = {
         name: Prior(value, u.get(name, 0.0)) for name, value in values(coefficients).items() if name.startswith(kept)
     }
-    design = replace(design, axes=coefficients.axes, nonlinearity=order, priors=priors)
+    design = replace(design, axes=coefficients.axes, nonlinearity=order, priors=priors, angles=coefficients.angles)
     thermal = coefficients.thermal if whole else None
     if thermal is None:
         return design

@@ -114,8 +114,10 @@ def verify(
             errors = [degrees(float(np.arctan2(apart, np.dot(up, result.gravity[0]))))]
         noise = [0.0]
         for channel in set(coefficients.channels) & set(coefficients.axes):
-            slope = 1.0 if whole else max(sqrt(1.0 - min(up[AXES.index(channel)] ** 2, 1.0)), STEEP)
-            u = measurement.summaries[channel].u
+            angles = coefficients.angles
+            slope = 1.0 if whole or angles else max(sqrt(1.0 - min(up[AXES.index(channel)] ** 2, 1.0)), STEEP)
+            summary = measurement.summaries[channel]
+            u = summary.u if angles is None else summary.u * float(angles.steepness(np.array(summary.mean)))
             noise.append(degrees(u / abs(coefficients.own_sensitivity(channel)) / slope))
         error = inf if any(map(isnan, errors)) else max(errors)
         expanded = (DIRECTION if whole else ANGLE) * hypot(jig or 0.0, max(noise))

@@ -12,6 +12,7 @@ from tiltcal.calibration.record import tilt_lines, tilt_uncertainty
 from tiltcal.core.model import values
 from tiltcal.core.pair.matching import STAGES, SUM, Matching
 from tiltcal.core.rounding import bracketed, plus_minus
+from tiltcal.drivers.model import OF_TILT, SLOPES
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.coefficients import ANGLES
 from tiltcal.files.procedure import FreePositions, LevelCompletion, MountingCompletion, Procedure
@@ -228,13 +229,14 @@ class Label(NamedTuple):
 
 
 def label(name: str, unit: str = "") -> Label:
-    """Return the label of a coefficient of a sensor whose readings have a unit."""
+    """Return the label of a coefficient of a sensor whose readings have a unit; of slopes it is in degrees."""
+    per, unit = "°" if unit in OF_TILT else "g", "°" if unit in SLOPES else unit
     match name.split("."):
         case ["offset", channel]:
             return Label(f"Offset of {channel}", f"offset {channel}", ("u", f"0{channel}"), unit)
         case ["sensitivity", channel, axis]:
             other, pair = "" if channel == axis else f" to {axis}", channel + axis
-            return Label(f"Sensitivity of {channel}{other}", f"sensitivity {pair}", ("S", pair), f"{unit}/g")
+            return Label(f"Sensitivity of {channel}{other}", f"sensitivity {pair}", ("S", pair), f"{unit}/{per}")
         case ["nonlinearity", channel, power]:
             shape = {"2": "square", "3": "cube"}.get(power, power)
             in_words, short = f"Nonlinearity of {channel}, {shape}", f"nonlinearity {channel}^{power}"

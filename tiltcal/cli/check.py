@@ -122,7 +122,7 @@ def _of_calibration(path: Path, document: Document) -> tuple[str, list[str], lis
     found = record_in(document)
     findings, remarks = _of_journal_beside(path, found)
     if isinstance(found, CalibrationRecord):
-        wiring = remarks_on_wiring(found.coefficients, found.sensor.unit)
+        wiring = remarks_on_wiring(found.coefficients, found.sensor.fitted_unit)
         return "calibration", objections(found) + findings, [*wiring, *remarks_on_chance(found.fit), *remarks]
     return "pair calibration", findings, remarks
 

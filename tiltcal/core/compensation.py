@@ -234,8 +234,16 @@ class Compensation:
         out.flag.fill(flags.PASS)
         out.reason.fill(0)
         dt, application = self._temperature_difference(temperature, out), out.gravity.T
-        signal = self._signal(u, dt)
-        take_out_nonlinearity(signal, self._coefficients)
+        angles, lost = self._coefficients.angles, None
+        signal = self._signal(u if angles is None else angles.angle(u), dt)
+        if angles is None:
+            take_out_nonlinearity(signal, self._coefficients)
+        else:
+            clipped, lost, ambiguous = angles.to_components(
+                signal, self._coefficients.channels, self._coefficients.sensitivity
+            )
+            mark(out, clipped, flags.SUSPECT, flags.CLIPPED)
+            mark(out, ambiguous, flags.SUSPECT, flags.TILT_RANGE)
         own = product(self.inverse, signal)
         hidden = self._solve_hidden(own, out) if self.solves_z else None
         self._mount(own, hidden, application)
@@ -247,6 +255,9 @@ class Compensation:
         if self.on_edge and hidden is not None:
             self._blank_unknown_sign(hidden, out)
         self._judge_tilt(own, out)
+        if lost is not None and lost.any():
+            mark(out, lost, flags.FAIL, flags.NO_DIRECTION)
+            out.gravity[lost] = out.angles[lost] = np.nan
         self._judge_readings(u, out)
         return KernelChunk(rows, dt, own, hidden, out)
 

@@ -9,6 +9,7 @@ For channel i at temperature T, with dT = T - T_ref::
 an axis that points up reads +1 g. ``drift_i``, the temperature drift of the offset, and ``gain_i``, the temperature
 coefficient of the sensitivity, are polynomials without a constant term. ``B_i`` is the nonlinearity: the identity
 unless a procedure determined it. ``S_ii`` is the channel's sensitivity to its own axis, so the n are pure numbers.
+Of devices that print angles :mod:`tiltcal.core.angle_readings` has the model.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from tiltcal.core.angle_readings import DEGREES, AngleReadings
 from tiltcal.errors import EstimateError
 
 Array = NDArray[np.float64]
@@ -69,7 +71,8 @@ class Coefficients:
 
     ``offset``, (channels,), is the reading at 0 g and the reference temperature, unit; ``sensitivity`` is S, unit/g.
     Column k of ``nonlinearity`` multiplies the (k+2)-nd power of the acceleration along the channel's own axis, pure
-    numbers. What was not measured is None, as is the mounting of a sensor whose frame is the application's.
+    numbers. What was not measured is None, as is the mounting of a sensor whose frame is the application's. Where the
+    readings are ``angles``, S is in unit per degree.
     """
 
     channels: tuple[str, ...]
@@ -79,13 +82,14 @@ class Coefficients:
     thermal: Thermal | None = None
     mounting: Mounting | None = None
     nonlinearity: Array | None = None
+    angles: AngleReadings | None = None
 
     @property
     def models(self) -> tuple[ChannelModel, ...]:
         """The model of each channel."""
         drift, gain = (0, 0) if self.thermal is None else (self.thermal.drift.shape[1], self.thermal.gain.shape[1])
         shares = 0 if self.nonlinearity is None else self.nonlinearity.shape[1]
-        return tuple(ChannelModel(name, self.axes, drift, gain, shares) for name in self.channels)
+        return tuple(ChannelModel(name, self.axes, drift, gain, shares, self.angles) for name in self.channels)
 
     @property
     def vectors(self) -> Array:
@@ -95,8 +99,14 @@ class Coefficients:
         return np.hstack([self.offset[:, None], self.sensitivity, *thermal, *shares])
 
     def own_sensitivity(self, channel: str) -> float:
-        """Return the sensitivity of a channel along its own axis, unit/g."""
-        return float(self.sensitivity[self.channels.index(channel), self.axes.index(channel)])
+        """Return the sensitivity of a channel along its own axis, unit/g, of one that prints angles near level."""
+        own = float(self.sensitivity[self.channels.index(channel), self.axes.index(channel)])
+        return own * self.per_radian
+
+    @property
+    def per_radian(self) -> float:
+        """What makes a sensitivity one per g near level: the degrees of a radian where the readings are angles."""
+        return 1.0 if self.angles is None else DEGREES
 
     def predict(self, gravity: Array, temperature: Array | None = None) -> Array:
         """Compute the readings, (n, channels), for up, (n, 3), g, and temperatures, (n,), °C, else the reference."""
@@ -162,6 +172,7 @@ class ModelReading:
     """The readings that the model expects of a channel in n positions, in its unit, with their derivatives, (n, ...).
 
     ``by_signal`` is that by S g, a ratio; ``sensitivity``, (3,), has 0 along an axis that was not determined, unit/g.
+    ``across``, (n, 3), is by gravity beside S g, as a roll follows the pitch; None for none.
     """
 
     value: Array
@@ -169,11 +180,13 @@ class ModelReading:
     by_signal: Array
     by_temperature: Array
     sensitivity: Array
+    across: Array | None = None
 
     @property
     def by_gravity(self) -> Array:
         """Derivatives by gravity, shape (n, 3), unit/g."""
-        return np.outer(self.by_signal, self.sensitivity)
+        along = np.outer(self.by_signal, self.sensitivity)
+        return along if self.across is None else along + self.across
 
 
 @dataclass(frozen=True)
@@ -189,6 +202,7 @@ class ChannelModel:
     drift: int = 0
     gain: int = 0
     nonlinearity: int = 0
+    angles: AngleReadings | None = None
 
     @property
     def coefficients(self) -> tuple[str, ...]:
@@ -214,8 +228,18 @@ class ChannelModel:
         columns = [AXES.index(axis) for axis in self.axes]
         along, first, scale = gravity.T[columns], 1 + len(self.axes), 1.0 + polynomial(gain, dt)
         signal, by_signal = sensitivity @ along, scale
-        table = np.empty((len(theta), len(dt)))
+        table, across = np.empty((len(theta), len(dt))), None
         table[0], table[1:first] = 1.0, along
+        to_axes = np.zeros(3)
+        to_axes[columns] = sensitivity
+        if self.angles is not None and not to_axes.any():  # before the first round, near level
+            table[1:first] *= DEGREES
+        elif self.angles is not None:
+            signal, by_sensitivity, by_gravity = self.angles.linearised(self.name, to_axes, gravity.T)
+            table[1:first] = by_sensitivity[columns]
+            by_signal = (to_axes @ by_gravity) / (to_axes @ to_axes)
+            across = (scale * (by_gravity - np.outer(to_axes, by_signal))).T
+            by_signal = scale * by_signal
         if self.nonlinearity:
             place = self.axes.index(self.name)
             own = sensitivity[place]
@@ -236,9 +260,8 @@ class ChannelModel:
             _multiply_by_powers(table[second : second + self.gain], dt)
             value += polynomial(drift, dt)
             by_temperature = polynomial_slope(drift, dt) + polynomial_slope(gain, dt) * signal
-        to_axes = np.zeros(3)
-        to_axes[columns] = sensitivity
-        return ModelReading(value, table.T, np.broadcast_to(by_signal, signal.shape), by_temperature, to_axes)
+        by_signal = np.broadcast_to(by_signal, signal.shape)
+        return ModelReading(value, table.T, by_signal, by_temperature, to_axes, across)
 
 
 def _multiply_by_powers(table: Array, variable: Array, power: Array | float = 1.0) -> None:

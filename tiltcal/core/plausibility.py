@@ -12,6 +12,7 @@ from math import cos, radians, sin, sqrt
 
 import numpy as np
 
+from tiltcal.core.angle_readings import AngleReadings
 from tiltcal.core.attitude import Vector
 from tiltcal.core.model import AXES, Array
 
@@ -36,7 +37,8 @@ DRIFT = 0.005  # how far an offset may move per °C before the drift is known, g
 class ExpectedReadings:
     """The reading that each position should give, of a part with nominal offset, unit, and sensitivity, unit/g.
 
-    The spreads are standard deviations over parts: of the offset, g, and of the sensitivity, relative.
+    The spreads are standard deviations over parts: of the offset, g, and of the sensitivity, relative. What reads
+    ``angles`` has its sensitivity near level.
     """
 
     def __init__(
@@ -46,7 +48,9 @@ class ExpectedReadings:
         sensitivity: float,
         offset_spread: float,
         sensitivity_spread: float,
+        angles: AngleReadings | None = None,
     ) -> None:
+        self._angles = angles
         self._channels = channels
         self._offset, self._sensitivity = offset, sensitivity
         self._or = ", or was a position before it wrong (go back)" if offset_spread > UNKNOWN_OFFSET else ""
@@ -76,7 +80,8 @@ class ExpectedReadings:
     def expected(self, gravity: Vector) -> dict[str, float]:
         """Return the reading per channel that ``gravity`` should give, in the sensor's unit."""
         means, _ = self.in_g(gravity)
-        readings = (self._offset + self._sensitivity * mean for mean in means)
+        signals = means if self._angles is None else [self._angles.near_level(mean) for mean in means]
+        readings = (self._offset + self._sensitivity * signal for signal in signals)
         return dict(zip(self._channels, readings, strict=True))
 
     def in_g(self, gravity: Vector, temperature: float | None = None) -> tuple[list[float], list[float]]:
@@ -122,7 +127,8 @@ class ExpectedReadings:
         return None
 
     def _in_g(self, reading: Array) -> list[float]:
-        return [(float(value) - self._offset) / self._sensitivity for value in reading]
+        signals = [(float(value) - self._offset) / self._sensitivity for value in reading]
+        return signals if self._angles is None else [self._angles.component(signal) for signal in signals]
 
     def _pose(self, temperature: float | None) -> float:
         if temperature is None or self._first_temperature is None:

@@ -10,6 +10,7 @@ from collections.abc import Iterable, Iterator
 
 import numpy as np
 
+from tiltcal.core.angle_readings import AngleReadings
 from tiltcal.core.compensation import CLIP_LIMIT, LONGEST, SHORTEST, Compensation
 from tiltcal.core.model import NEWTON_STEPS, Array, Coefficients
 from tiltcal.export.affine import affine_of
@@ -66,22 +67,27 @@ def sizes(name: str, channels: int, axes: int) -> list[str]:
 
 
 def _gravity(coefficients: Coefficients, compensation: Compensation) -> Iterator[str]:
-    thermal, bent = coefficients.thermal, coefficients.nonlinearity
+    thermal, bent, angles = coefficients.thermal, coefficients.nonlinearity, coefficients.angles
     if thermal is None:
         yield "(void)celsius;"
     else:
         reference = float_constant(thermal.reference)
         yield f"const float dt = celsius == celsius ? celsius - {reference} : 0.0f; /* at {thermal.reference:g} °C */"
     for k, offset in enumerate(coefficients.offset):
-        line = f"u[{k}] - {float_constant(offset)}"
+        reading = f"u[{k}]"
+        if angles is not None and angles.slope:
+            reading = f"atanf({reading} / {float_constant(angles.slope)}) * 57.29577951f"
+        line = f"{reading} - {float_constant(offset)}"
         if thermal is not None and thermal.drift[k].any():
             line += f" - {_polynomial(thermal.drift[k])}"
         if thermal is not None and thermal.gain[k].any():
             line = f"({line}) / (1.0f + {_polynomial(thermal.gain[k])})"
-        straight = bent is None or not bent[k].any()
+        straight = angles is None and (bent is None or not bent[k].any())
         yield f"{'const ' * straight}float v{k} = {line};"
-        if bent is not None and not straight:
+        if bent is not None and bent[k].any():
             yield from _straightened(f"v{k}", coefficients.own_sensitivity(coefficients.channels[k]), bent[k])
+    if angles is not None:
+        yield from _components_of_angles(coefficients, angles)
     names = [f"v{k}" for k in range(len(coefficients.channels))]
     if not compensation.solves_z:
         rotation = np.eye(len(compensation.axes)) if compensation.rotation is None else compensation.rotation
@@ -93,6 +99,18 @@ def _gravity(coefficients: Coefficients, compensation: Compensation) -> Iterator
     rotation = np.eye(3) if compensation.rotation is None else compensation.rotation
     for axis, row in enumerate(rotation[:2]):
         yield f"g[{axis}] = {_sum(row, ['p0', 'p1', 'z'])};"
+
+
+def _components_of_angles(coefficients: Coefficients, angles: AngleReadings) -> Iterator[str]:
+    """Yield the lines that make components of angles, which wrap, and are none beyond 91 degrees."""
+    sizes = np.linalg.norm(coefficients.sensitivity, axis=1)
+    for k, size in enumerate(sizes):
+        yield f"v{k} = remainderf(v{k} / {float_constant(size)}, 360.0f);"
+        yield f"v{k} = fabsf(v{k}) > 91.0f ? NAN : fmaxf(-90.0f, fminf(90.0f, v{k})) * 0.01745329252f;"
+    pitch = coefficients.channels.index("x") if angles.euler and "x" in coefficients.channels else -1
+    for k in sorted(range(len(sizes)), key=lambda k: k == pitch):
+        roll = f" * cosf(v{pitch})" if pitch >= 0 and coefficients.channels[k] == "y" else ""
+        yield f"v{k} = {float_constant(sizes[k])} * sinf(v{k}){roll};"
 
 
 def _straightened(signal: str, own: float, shares: Array) -> Iterator[str]:

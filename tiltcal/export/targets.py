@@ -113,6 +113,10 @@ def exported(source: Source, target: str) -> Exported:
             "the mounting is on edge, where two channels leave the sign of the third open: only apply says which rows "
             "have one; export the calibration without its mounting"
         )
+    if source.coefficients.angles is not None and target != "c":
+        sensor = source.record.sensor
+        why = f"{sensor.serial} prints {sensor.unit}, and {target} takes components of gravity"
+        raise UsageError(f"{why}: export to c")
     export = TARGETS[target](source)
     bound = largest_error(source.coefficients, source.limits, export.formula, export.rounding, export.step)
     left_out = tuple(term for term in terms(source.coefficients) if term not in export.holds)

@@ -15,9 +15,11 @@ from typing import Annotated
 
 from msgspec import Meta
 
+from tiltcal.core.angle_readings import AngleReadings
 from tiltcal.core.attitude import normalised
 from tiltcal.core.directions import tilts
 from tiltcal.core.model import Coefficients, Limits, values
+from tiltcal.drivers.model import SLOPES
 from tiltcal.files.coefficients import (
     CoefficientsSection,
     Uncertainty,
@@ -41,8 +43,13 @@ from tiltcal.files.results import (
     Provenance,
 )
 from tiltcal.files.yaml_text import yaml_text
+from tiltcal.units import CONVENTIONS
 
 UNKNOWN_MODEL = "recorded"  # the model in a file of `fit`, where the user named none
+
+
+ANGLE = "angle"
+INCLINATION, EULER = CONVENTIONS
 
 
 class SensorIdentity(Record):
@@ -58,6 +65,23 @@ class SensorIdentity(Record):
     ]
     columns: Annotated[ByAxis[Text], about("the columns of the log it was fitted from: `apply` looks for them")] = {}
     unit_from: Annotated[Text | None, about("`length` where the length of gravity at rest shows the unit")] = None
+    reads: Annotated[Annotated[str, one_of(ANGLE)] | None, about("`angle`: each channel prints its own tilt")] = None
+    angles: Annotated[
+        Annotated[str, one_of(INCLINATION, EULER)] | None,
+        about("each channel the arcsine of its component, or pitch and roll; not known where absent"),
+    ] = None
+
+    @property
+    def angle_readings(self) -> AngleReadings | None:
+        """How its channels print angles; None where they read components of gravity."""
+        if self.reads is None:
+            return None
+        return AngleReadings(SLOPES.get(self.unit, 0.0), None if self.angles is None else self.angles == EULER)
+
+    @property
+    def fitted_unit(self) -> str:
+        """The unit of the coefficients: that of the readings, of slopes degrees."""
+        return "°" if self.reads is not None and self.unit in SLOPES else self.unit
 
 
 class LimitsSection(Record, kw_only=True):
@@ -134,7 +158,7 @@ def tilt_record(document: Document) -> CalibrationRecord:
     channels = file.sensor.channels
     if not channels or len(set(channels)) < len(channels):
         raise document.error("channels are one to three different ones of x, y, z", "sensor", "channels")
-    coefficients = coefficients_of(file.calibration, document.at("calibration"), channels)
+    coefficients = coefficients_of(file.calibration, document.at("calibration"), channels, file.sensor.angle_readings)
     uncertainty = uncertainty_of(file.uncertainty, document.at("uncertainty"), coefficients)
     for key in ("budget", "priors"):
         document.require_keys(getattr(file.fit, key), list(values(coefficients)), "fit", key)
@@ -206,7 +230,7 @@ def dump_calibration(calibration: CalibrationRecord) -> str:
         ),
         **{name: getattr(calibration, name) for name in RECORDS},
     )
-    return yaml_text(file_data("tilt", file), _comments(calibration.sensor.unit))
+    return yaml_text(file_data("tilt", file), _comments(calibration.sensor))
 
 
 class BaseFile(Record):
@@ -231,11 +255,12 @@ def _record_of(text: str, name: str) -> CalibrationRecord:
     return tilt_record(parse_document(text, name))
 
 
-def _comments(unit: str) -> dict[str, str]:
+def _comments(sensor: SensorIdentity) -> dict[str, str]:
     """Return the comments of a calibration file: the units of the coefficients, by dotted key."""
+    unit, per = sensor.fitted_unit, "g" if sensor.reads is None else "°"
     return {
         "calibration.offset": f"{unit}, at the reference temperature",
-        "calibration.sensitivity": f"{unit}/g, row = channel, column = axis",
+        "calibration.sensitivity": f"{unit}/{per}, row = channel, column = axis",
         "calibration.nonlinearity": "shares of the square and the cube of the own acceleration",
         "calibration.temperature.reference": "°C",
         "calibration.temperature.range": "°C",

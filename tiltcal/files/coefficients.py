@@ -15,6 +15,7 @@ from typing import Annotated, Any
 import numpy as np
 from msgspec import Meta
 
+from tiltcal.core.angle_readings import AngleReadings
 from tiltcal.core.model import AXES, Array, Coefficients, Mounting, Thermal, values
 from tiltcal.core.rounding import significant
 from tiltcal.core.uncertain import TURN
@@ -64,14 +65,18 @@ class CoefficientsSection(Record, kw_only=True):
     offset: Annotated[ByAxis[Finite], about("per channel, unit, at the reference temperature")]
     sensitivity: Annotated[
         ByAxis[ByAxis[Finite]],
-        about("row = channel, column = axis, unit/g; as many columns as channels, or x, y, z for two; not singular"),
+        about(
+            "row = channel, column = axis, unit/g (of angles unit/°); as many columns as channels, or x, y, z for two"
+        ),
     ]
     nonlinearity: Annotated[Bend | None, about("n₂ or n₂, n₃: reads S_ii (a + n₂a² + n₃a³), not S_ii a")] = None
     temperature: Annotated[ThermalSection | None, about("absent where it was not measured")] = None
     mounting: Annotated[MountingSection | None, about("how the sensor sits in its application")] = None
 
 
-def coefficients_of(section: CoefficientsSection, place: Document, channels: tuple[str, ...]) -> Coefficients:
+def coefficients_of(
+    section: CoefficientsSection, place: Document, channels: tuple[str, ...], angles: AngleReadings | None = None
+) -> Coefficients:
     """Return the coefficients of a section; an InputError where they contradict the channels or cannot be inverted."""
     thermal, mounting, bent = section.temperature, section.mounting, section.nonlinearity
     place.require_keys(section.offset, channels, "offset", complete=True)
@@ -91,6 +96,7 @@ def coefficients_of(section: CoefficientsSection, place: Document, channels: tup
         None if thermal is None else _thermal(thermal, channels),
         None if mounting is None else Mounting(*(radians(getattr(mounting, name)) for name in ANGLES)),
         None if bent is None else _nonlinearity(bent, place, channels, axes),
+        angles,
     )
 
 

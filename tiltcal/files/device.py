@@ -20,6 +20,7 @@ from tiltcal.drivers.text_device import CHECKED, CHECKSUM, DECIMALS, TextDevice,
 from tiltcal.errors import UsageError
 from tiltcal.files.document import Document, read_document
 from tiltcal.files.record import FromZero, Identifier, Number, Record, Text, about, one_of
+from tiltcal.units import CONVENTIONS
 
 Sent = Annotated[str, Meta(min_length=1)]
 
@@ -58,6 +59,10 @@ class DeviceFile(Record, kw_only=True, frozen=True):
     ] = "none"
     timeout: Annotated[Annotated[float, Meta(ge=0.05, le=3600.0)], about("seconds in which an answer comes")] = 2.0
     interval: Annotated[FromZero, about("shortest time between two new readings, s")] = 0.0
+    angles: Annotated[
+        Annotated[str, one_of(*CONVENTIONS)] | None,
+        about("each axis by itself, or pitch and roll"),
+    ] = None
     offset: Annotated[Number | None, about("nominal, of a level device, unit")] = None
     sensitivity: Annotated[Number | None, about("nominal, unit/g; the units g, mg and m/s2 imply it")] = None
     low: Annotated[Number | None, about("a reading at or below it is none")] = None
@@ -75,7 +80,7 @@ class DeviceFile(Record, kw_only=True, frozen=True):
         same = ("name", "title", "ask", "answer", "ends", "decimal", "timeout", "interval")
         return TextDevice(
             **{key: getattr(self, key) for key in same},
-            scale=Scale(self.unit, self.offset, self.sensitivity, low, high),
+            scale=Scale(self.unit, self.offset, self.sensitivity, low, high, self.angles),
             checksum=self.checksum.removeprefix("none"),
             line={key: str(getattr(self, key)) for key in ("baudrate", "parity", "bits", "timeout")},
         )

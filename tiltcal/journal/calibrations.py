@@ -103,7 +103,9 @@ def fitted(session: RecordedSession) -> list[CalibrationRecord]:
     return calibrate(
         [
             MeasuredSensor(
-                SensorIdentity(sensor.model, sensor.serial, sensor.wired.unit, sensor.wired.channels),
+                SensorIdentity(
+                    sensor.model, sensor.serial, sensor.wired.unit, sensor.wired.channels, angles=sensor.wired.angles
+                ),
                 [result.measurements[sensor.serial] for result in accepted],
                 sensor.wired,
                 sensor.orientation.matrix,
@@ -118,6 +120,7 @@ def fitted(session: RecordedSession) -> list[CalibrationRecord]:
             setup.reference, BenchUncertainty(settings.jig, settings.thermometer, settings.table_lean, settings.heading)
         ),
         typical_temperature=setup.typical_temperature,
+        angles=settings.angles,
         settings={"samples": settings.samples, "settle_seconds": settings.settle},
     )
 

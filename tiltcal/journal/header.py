@@ -24,9 +24,10 @@ from tiltcal.files.document import document_of
 from tiltcal.files.machine import Machine
 from tiltcal.files.moments import moment, moment_after, stamp
 from tiltcal.files.procedure import Procedure, Rotation, procedure_in
-from tiltcal.files.record import AboveZero, FromOne, FromZero, Number, Record, Text, about, plain
+from tiltcal.files.record import AboveZero, FromOne, FromZero, Number, Record, Text, about, one_of, plain
 from tiltcal.files.results import Reference, Standard
 from tiltcal.journal.lines import Journal
+from tiltcal.units import CONVENTIONS
 
 if TYPE_CHECKING:
     from tiltcal.core.pair.model import Pair
@@ -48,6 +49,9 @@ class Settings(Record, kw_only=True):
     table_lean: Annotated[FromZero | None, about("uncertainty of the table's lean, degrees")] = None
     heading: Annotated[FromZero | None, about("uncertainty of a heading, degrees")] = None
     angle: Annotated[Number | None, about("the angle that the procedure leaves free, degrees")] = None
+    angles: Annotated[
+        Annotated[str, one_of(*CONVENTIONS)] | None, about("the convention of sensors that print angles")
+    ] = None
     turns: Annotated[FromOne | None, about("the most turns of a rotation")] = None
 
 

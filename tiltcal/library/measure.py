@@ -244,6 +244,7 @@ def _begun(procedure: str | Path | None, given: MeasureOptions) -> Session:
         operator=operator if isinstance(operator, str) else "json",
         samples=given["samples"],
         settle=given["settle"],
+        angles=given["angles"],
         bases=bases,
         typical=given["typical_temperature"],
     )

@@ -139,7 +139,7 @@ def fit_recorded(
         attitude_stated=options["segments"] is not None,
         temperature_step=positions.temperature_step,
     )
-    (found,) = calibrate([measured], steps, bench, table=table, gravity=options["gravity"])
+    (found,) = calibrate([measured], steps, bench, table=table, gravity=options["gravity"], angles=options["angles"])
     found = replace(found, provenance=positions.provenance.replaced(base=None if known is None else known.origin))
     if positions.holds is not None and (note := positions.holds.not_credible):
         found = replace(found, fit=found.fit.replaced(notes=(*found.fit.notes, note)))
@@ -489,4 +489,6 @@ def _identity(
     unit = str(model and model.unit) if unit is None else unit
     for what, text in (("the serial number", serial), ("the unit", unit)):
         require_name(text, what)
-    return SensorIdentity(model.name if model else UNKNOWN_MODEL, serial, unit, channels)
+    return SensorIdentity(
+        model.name if model else UNKNOWN_MODEL, serial, unit, channels, angles=None if model is None else model.angles
+    )

@@ -15,6 +15,7 @@ from tiltcal.options import Option
 from tiltcal.stated_arguments import (
     is_number,
     require_boolean,
+    require_convention,
     require_from_zero,
     require_text_or_none,
     require_whole,
@@ -199,6 +200,14 @@ class FitOptions(TypedDict, total=False):
             "Local gravity, 9.7 to 9.9 m/s²: adds sensitivity per m/s², and for readings in m/s2 the scale error.",
             "M/S2",
             check=_require_local_gravity,
+        ),
+    ]
+    angles: Annotated[
+        str | None,
+        Option(
+            "Of readings that are angles: inclination (each axis by itself) or euler (pitch and roll).",
+            "CONVENTION",
+            check=require_convention,
         ),
     ]
     jig: Annotated[float | None, _uncertainty("a set angle, degrees [from the residuals]")]

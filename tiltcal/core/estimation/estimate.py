@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from tiltcal.core.angle_readings import DEGREES
 from tiltcal.core.estimation.design import listed, require_determined
 from tiltcal.core.estimation.equations import HYSTERESIS, JIG, NOISE, TABLE, THERMOMETER, Equations
 from tiltcal.core.estimation.positions import Design, Observation, SensorObservations
@@ -302,6 +303,7 @@ def _sizes(equations: Equations, z: Array) -> list[Array]:
     """Return the singular values of the sensitivities of each sensor, unit/g."""
     return [
         np.asarray(np.linalg.svd(sensor.coefficients(z[own]).sensitivity, compute_uv=False))
+        * (1.0 if sensor.design.angles is None else DEGREES)
         for sensor, own in zip(equations.sensors, equations.sensor_coefficients(), strict=True)
     ]
 

@@ -10,6 +10,7 @@ from math import inf, radians
 import numpy as np
 from numpy.typing import NDArray
 
+from tiltcal.core.angle_readings import AngleReadings
 from tiltcal.core.attitude import STRAIGHT
 from tiltcal.core.model import Array, ChannelModel, Coefficients, Thermal
 from tiltcal.errors import EstimateError
@@ -102,6 +103,7 @@ class Design:
     nonlinearity: int = 0  # 0 for a straight line, 1 for a square, 2 for a square and a cube
     priors: Mapping[str, Prior] = field(default_factory=dict)  # by the coefficient's dotted name
     nominal: float = 0.0  # sensitivity of the model, unit/g; 0 where it is not known
+    angles: AngleReadings | None = None  # of a device that prints angles; nonlinearity is none then
     stated: tuple[StatedCoefficients, ...] = ()  # what calibrations of the sensor state jointly, beside the priors
 
     @property
@@ -122,7 +124,8 @@ class Design:
     @cached_property
     def models(self) -> tuple[ChannelModel, ...]:
         """The model of each channel."""
-        return tuple(ChannelModel(name, self.axes, self.drift, self.gain, self.nonlinearity) for name in self.channels)
+        orders = self.drift, self.gain, self.nonlinearity
+        return tuple(ChannelModel(name, self.axes, *orders, self.angles) for name in self.channels)
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -150,7 +153,9 @@ class SensorObservations:
             met = [one.temperature for one in self.observations if one.temperature is not None]
             thermal = Thermal(design.reference, (float(min(met)), float(max(met))), drift, gain)
         bent = bend if design.nonlinearity else None
-        return Coefficients(design.channels, design.axes, table[:, 0], sensitivity, thermal, nonlinearity=bent)
+        return Coefficients(
+            design.channels, design.axes, table[:, 0], sensitivity, thermal, nonlinearity=bent, angles=design.angles
+        )
 
 
 def require_sound(sensors: Sequence[SensorObservations]) -> None:

@@ -1,0 +1,153 @@
+"""Devices that print angles or slopes: exact for a zero, a scale and a turn, whatever unit and convention they have."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+from math import cos, radians, sin
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.command import tiltcal as run
+
+import tiltcal
+from tiltcal.core.attitude import gravity_from_tilt
+from tiltcal.files.procedure import Positions, find_procedure
+
+PRINTS = {
+    "deg": lambda degrees: degrees,
+    "mrad": lambda degrees: 1000.0 * np.radians(degrees),
+    "mm/m": lambda degrees: 1000.0 * np.tan(np.radians(degrees)),
+}
+GRID = np.array([gravity_from_tilt({"x": x, "y": y}) for x in (-30, -12, 0, 30) for y in (-30, 0, 21)])
+
+
+def device(up: np.ndarray, unit: str, angles: str, zero: tuple[float, float] = (3.0, -2.0)) -> np.ndarray:
+    """What a device with a zero, a scale and a turn of 1.5° about the vertical prints, (n, 2), by the definitions."""
+    turn = radians(1.5)
+    across = up[:, 0] * sin(turn) + up[:, 1] * cos(turn)
+    x = np.arcsin(up[:, 0] * cos(turn) - up[:, 1] * sin(turn))
+    y = np.arcsin(across) if angles == "inclination" else np.arctan2(across, up[:, 2])
+    return np.stack(
+        [
+            PRINTS[unit](scale * np.degrees(one) + off)
+            for scale, one, off in zip((1.01, 0.98), (x, y), zero, strict=True)
+        ]
+    ).T
+
+
+def table(procedure: str, unit: str, angles: str, u: float = 0.002) -> dict[str, object]:
+    steps = find_procedure(procedure)
+    assert isinstance(steps, Positions)
+    readings = device(np.array([one.gravity for one in steps.positions]), unit, angles)
+    names = [one.name for one in steps.positions]
+    return {"position": names, "x": readings[:, 0], "y": readings[:, 1], "ux": [u] * len(names), "uy": [u] * len(names)}
+
+
+def largest_error(cal: tiltcal.Calibration, unit: str, angles: str) -> float:
+    readings = device(GRID, unit, angles)
+    out = cal.apply({"x": readings[:, 0], "y": readings[:, 1]})
+    tilts = np.stack([out["tilt_x"], out["tilt_y"]], axis=1)
+    return float(np.abs(tilts - np.degrees(np.arcsin(GRID[:, :2]))).max())
+
+
+@pytest.mark.parametrize("unit", PRINTS)
+@pytest.mark.parametrize("angles", ["inclination", "euler"])
+@pytest.mark.parametrize("procedure", ["plane", "zero-45", "multi-angle"])
+def test_no_error_is_added(procedure: str, angles: str, unit: str, tmp_path: Path) -> None:
+    cal = tiltcal.fit(procedure, table(procedure, unit, angles), serial="A", unit=unit, jig=0.01, angles=angles)
+    cal.save(tmp_path / "a.yaml")
+    again = tiltcal.read(tmp_path / "a.yaml")
+    assert (again.sensor.reads, again.sensor.angles) == ("angle", angles)
+    per_degree = 17.4533 if unit == "mrad" else 1.0
+    assert again.sensitivity["x", "x"] == pytest.approx(1.01 * per_degree * cos(radians(1.5)), rel=1e-4)
+    assert max(largest_error(cal, unit, angles), largest_error(again, unit, angles)) < 0.003
+
+
+def test_positions_show_the_convention_or_rows_in_which_it_counts_are_suspect() -> None:
+    shown = tiltcal.fit("multi-angle", table("multi-angle", "deg", "euler"), serial="A", unit="deg", jig=0.01)
+    assert shown.sensor.angles == "euler"
+    assert largest_error(shown, "deg", "euler") < 0.003
+    unknown = tiltcal.fit("plane", table("plane", "deg", "euler"), serial="A", unit="deg", jig=0.01)
+    out = unknown.apply({"x": [3.0, 13.0, 13.0], "y": [-2.0, -2.0, 8.0]})
+    assert [*out["flag"]] == [1, 1, 3]
+    assert [*out["reason"]] == [0, 0, 8]
+
+
+def test_angles_wrap_and_end_at_a_right_angle() -> None:
+    cal = tiltcal.fit(
+        "plane", table("plane", "deg", "inclination"), serial="A", unit="deg", jig=0.01, angles="inclination"
+    )
+    offset, scale = cal.offset["x"], float(np.hypot(cal.sensitivity["x", "x"], cal.sensitivity["x", "y"]))
+    out = cal.apply({"x": [offset + scale * angle for angle in (20.0, 380.0, 90.5, 95.0)], "y": [cal.offset["y"]] * 4})
+    assert out["tilt_x"][:2] == pytest.approx([20.0, 20.0], abs=0.02)
+    assert [*out["flag"][2:]] == [3, 4]
+    assert out["reason"][2] & 1
+    assert out["reason"][3] == 128
+    assert np.isnan(out["tilt_x"][3])
+
+
+def test_intervals_hold() -> None:
+    random, held, steps = np.random.default_rng(4), 0, find_procedure("plane")
+    assert isinstance(steps, Positions)
+    for _ in range(40):
+        zero, jig = tuple(random.normal(0.0, 3.0, 2)), 0.05
+        set_ = np.array([one.gravity for one in steps.positions])
+        errors = random.normal(0.0, radians(jig), set_.shape)
+        true = set_ + np.cross(errors, set_)
+        readings = device(true / np.linalg.norm(true, axis=1)[:, None], "deg", "inclination", zero)
+        data = {"position": [one.name for one in steps.positions], "x": readings[:, 0], "y": readings[:, 1]}
+        data |= {"ux": [0.002] * len(set_), "uy": [0.002] * len(set_)}
+        cal = tiltcal.fit("plane", data, serial="A", unit="deg", jig=jig, angles="inclination")
+        read = device(GRID, "deg", "inclination", zero)
+        out = cal.apply({"x": read[:, 0], "y": read[:, 1]}, uncertainty=True)
+        off = np.abs(out["tilt_x"] - np.degrees(np.arcsin(GRID[:, 0])))
+        held += int(np.sum(off <= out["U95_tilt_x"]))
+    assert held / (40 * len(GRID)) > 0.9
+
+
+def test_the_bench_the_replay_and_a_header_agree(tmp_path: Path) -> None:
+    address = "sim:seed=3&columns=x,y&unit=mm/m&angles=euler"
+    measured = run(
+        *("measure", "plane", "--sensor", "serial-columns", "--address", address, "--serial", "A-1", "--jig", "0.05"),
+        *("--operator", "sim", "-o", "a.yaml"),
+        cwd=tmp_path,
+    )
+    assert measured.returncode == 0, measured.stderr
+    assert run("replay", "a.journal.jsonl", "--golden", "a.yaml", cwd=tmp_path).returncode == 0
+    assert run("check", "a.yaml", cwd=tmp_path).stdout == "a.yaml: calibration, good\n"
+    assert run("export", "a.yaml", "--to", "c", "-o", "tilt.h", cwd=tmp_path).returncode == 0
+    refused = run("export", "a.yaml", "--to", "json", cwd=tmp_path)
+    assert (refused.returncode, "takes components of gravity" in refused.stderr) == (2, True)
+    rows = [(10.0, 5.0), (-200.0, 250.0), (400.0, -100.0)]
+    (tmp_path / "log.csv").write_text("x,y\n" + "".join(f"{x},{y}\n" for x, y in rows), encoding="utf-8")
+    assert run("apply", "a.yaml", "log.csv", "-o", "tilt.csv", cwd=tmp_path).returncode == 0
+    applied = [line.split(",")[4:6] for line in (tmp_path / "tilt.csv").read_text().splitlines()[1:]]
+    if shutil.which("cc") is None:
+        pytest.skip("there is no compiler: cc is not installed")
+    (tmp_path / "main.c").write_text(
+        '#include <stdio.h>\n#include <math.h>\n#include "tilt.h"\nint main(void)\n{\n'
+        '    float u[2], d[2];\n    while (scanf("%f,%f", u, u + 1) == 2) {\n'
+        '        tilt_degrees(u, NAN, d);\n        printf("[%.5f, %.5f]\\n", d[0], d[1]);\n    }\n    return 0;\n}\n'
+    )
+    subprocess.run(["cc", "-std=c99", "-Werror", "-o", "main", "main.c", "-lm"], cwd=tmp_path, check=True)
+    said = subprocess.run(
+        ["./main"],
+        cwd=tmp_path,
+        input="".join(f"{x},{y}\n" for x, y in rows),
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    for line, expected in zip(said.stdout.splitlines(), applied, strict=True):
+        assert json.loads(line) == pytest.approx([*map(float, expected)], abs=1e-3)
+
+
+def test_free_positions_and_a_convention_of_components_are_refused() -> None:
+    readings = {axis: [0.1] * 20 for axis in "xyz"}
+    with pytest.raises(tiltcal.TiltcalError, match="needs components of gravity"):
+        tiltcal.fit("free", {"position": [f"p{n}" for n in range(20)], **readings}, serial="A", unit="deg")
+    with pytest.raises(tiltcal.TiltcalError, match="is of readings that are angles"):
+        tiltcal.fit("plane", table("plane", "deg", "euler"), serial="A", unit="V", angles="euler", jig=0.1)
