@@ -47,6 +47,7 @@ from tiltcal.files.tables import (
 )
 from tiltcal.logs.columns import (
     ReadingsHeader,
+    RecordedColumns,
     named_columns,
     readings_header,
     require_units,
@@ -286,10 +287,8 @@ def _of_log(
     require_positions([*stated, *named], procedure, file=file)
     record, found = logs.read(sensor.channels, options["columns"], sensor.unit)
     record = with_signs(record, signs)
-    warmth = record.by_role.get(TEMPERATURE, np.empty(0))
-    span = float(np.nanmax(warmth) - np.nanmin(warmth)) if np.isfinite(warmth).any() else 0.0
-    if not procedure.known and span > WARM:
-        say(f"note: the temperature spans {span:.3g} °C, and a drift counts as zero here: take a ramp too, and combine")
+    if not procedure.known:
+        _remark_warmth(record, say)
     origin, fewest, holds = _origin(given, SegmentsRecord), WINDOWS[-1], None
     if judge is not None:
         _require_gravity(record.of(sensor.channels), sensor.unit)
@@ -316,7 +315,7 @@ def _of_log(
     times = [interval.times for interval in intervals if interval.times is not None]
     provenance = _provenance("recorded log", times, **logs.provenance(record), segments=origin)
     measurements = placed(intervals, procedure, file=file)
-    step = even_step(record.by_role["temperature"]) if "temperature" in record.by_role else 0.0
+    step = even_step(record.by_role[TEMPERATURE]) if TEMPERATURE in record.by_role else 0.0
     means = np.array([[one.summaries[channel].mean for channel in sensor.channels] for one in measurements])
     return FitPositions(
         measurements,
@@ -326,6 +325,14 @@ def _of_log(
         columns=record.of(sensor.channels),
         holds=holds,
     )
+
+
+def _remark_warmth(record: RecordedColumns, say: Remark) -> None:
+    """Remark a drift that free positions leave out."""
+    warmth = record.by_role.get(TEMPERATURE, np.empty(0))
+    span = float(np.nanmax(warmth) - np.nanmin(warmth)) if np.isfinite(warmth).any() else 0.0
+    if span > WARM:
+        say(f"note: the temperature spans {span:.3g} °C, and a drift counts as zero here: take a ramp too, and combine")
 
 
 def _trimmed_origin(holds: Trimmed, count: int, origin: SegmentsRecord | None, say: Remark) -> SegmentsRecord | None:
