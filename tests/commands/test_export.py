@@ -6,6 +6,7 @@ import json
 import re
 import shutil
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -29,6 +30,7 @@ from support.export_study import (
 
 from tiltcal.core.compensation import Compensation
 from tiltcal.core.model import Array, Coefficients, Thermal
+from tiltcal.core.thermal_lag import ThermalLag
 from tiltcal.export.loss import largest_error
 from tiltcal.export.targets import TARGETS, Source, exported
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity, dump_calibration
@@ -252,17 +254,37 @@ def test_the_script_sets_what_the_driver_has(tmp_path: Path) -> None:
     assert (raw + bias) * scale * 0.0383 == pytest.approx(G, abs=0.5 / 256.0 * G)
 
 
-def test_json_and_python_say_the_same(tmp_path: Path) -> None:
+def test_python_holds_all_and_needs_no_numpy() -> None:
+    """Random calibrations of two and three axes with drift, non-linearity and mounting, row by row."""
+    for seed in range(20):
+        record = random_calibration(seed, reach=0.7)
+        exports = {target: exported(Source(record, record.limits), target) for target in ("python", "json")}
+        assert all(one.bound < 0.001 and not one.left_out for one in exports.values())
+        assert re.findall(r"import \w+", exports["python"].text) == ["import math"]
+        namespace: dict[str, object] = {}
+        exec(exports["python"].text, namespace)
+        u, celsius = readings(record, 20, seed)
+        found = [namespace["gravity"](*row) for row in zip(u.tolist(), celsius.tolist(), strict=True)]  # type: ignore[operator]
+        true = Compensation(record.coefficients, record.limits)(u, celsius).gravity
+        assert np.array(found) == pytest.approx(np.array(true), abs=1e-9)
+        data = json.loads(exports["json"].text)
+        assert {
+            name: namespace[name] for name in data.keys() - {"A", "b", "unit", "bound", "formula", "lag"}
+        }.items() <= data.items()
+
+
+@pytest.mark.parametrize("lag", [90.0, -60.0])
+def test_python_follows_the_lag_of_the_element(lag: float) -> None:
     record = three_axes("count")
-    data = json.loads(export(tmp_path, record, "json"))
-    assert (data["unit"], data["reference"]) == ("count", 25.0)
-    assert data["bound"] < 0.001
-    u = record.coefficients.predict(directions())
-    assert (u - data["b"]) @ np.transpose(data["A"]) == pytest.approx(directions(), abs=1e-9)
+    coefficients = record.coefficients
+    assert coefficients.thermal is not None
+    lagging = replace(record, coefficients=replace(coefficients, thermal=replace(coefficients.thermal, lag=lag)))
     namespace: dict[str, object] = {}
-    exec(export(tmp_path, record, "python"), namespace)
-    warm = record.coefficients.predict(directions(), np.full(50, 26.0))
-    assert namespace["gravity"](warm, np.full(50, 26.0)) == pytest.approx(directions(), abs=1e-9)  # type: ignore[operator]
+    exec(exported(Source(lagging, record.limits), "python").text, namespace)
+    time = np.array([0.0, 1.0, 5.0, 30.0, 31.0, 400.0])
+    celsius = 20.0 + 0.02 * time + np.sin(time)
+    found = [namespace["element"](*row) for row in zip(time.tolist(), celsius.tolist(), strict=True)]  # type: ignore[operator]
+    assert found == pytest.approx(ThermalLag(lag)(time, celsius), abs=1e-9)
 
 
 def test_show_prints_coefficients_tilts_and_the_map(tmp_path: Path) -> None:

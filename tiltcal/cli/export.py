@@ -42,8 +42,8 @@ def command(calibration: Path, to: str, output: Path | None, name: str, fixed: b
     px4        parameter file: offset and scale (not flown)
     ardupilot  parameter file: offset and scale (not flown)
     iio        shell script that sets calibbias and calibscale
-    python     a few lines of numpy
-    json       {A, b, unit, drift, reference, bound}
+    python     a module without imports but math, for MicroPython and CircuitPython too
+    json       all numbers, with the formula that they belong to, and {A, b}
 
     What a target does not hold is named, with the largest error of an angle that this costs in the calibrated range.
     """

@@ -11,16 +11,15 @@ import numpy as np
 
 from tiltcal import __version__
 from tiltcal.core.compensation import Compensation
-from tiltcal.core.model import Array, Coefficients, Limits, polynomial, vector_of, with_vector
+from tiltcal.core.model import Array, Coefficients, Limits, vector_of, with_vector
 from tiltcal.core.uncertain import central_differences
 from tiltcal.errors import UsageError
 from tiltcal.export.affine import Affine, affine_of
 from tiltcal.export.c_header import float_constant, header, single_precision, single_precision_rounding
 from tiltcal.export.c_integers import Integers
 from tiltcal.export.loss import Formula, calibrated_range, largest_error
+from tiltcal.export.python_module import FORMULA, module, numbers
 from tiltcal.files.calibration import CalibrationRecord
-from tiltcal.files.coefficients import coefficients_section
-from tiltcal.files.record import plain
 
 STANDARD_GRAVITY = 9.80665
 """m/s²."""
@@ -224,46 +223,25 @@ def _iio(source: Source) -> Export:
 
 
 def _python(source: Source) -> Export:
-    coefficients, affine, thermal = source.coefficients, source.affine, source.coefficients.thermal
-    sensor = source.record.sensor
-    lines = [
-        f'"""{source.origin}: readings in {sensor.unit}, gravity in g."""',
-        "import numpy as np",
-        f"A = np.array({_array(affine.matrix)})",
-        f"b = np.array({_array(affine.offset)})",
-    ]
-    if thermal is None:
-        lines += ["def gravity(u):", "    return (np.asarray(u) - b) @ A.T"]
-    else:
-        drift = ", ".join(
-            f"{name}={_array(table.T)}" for name, table in (("drift", thermal.drift), ("gain", thermal.gain))
-        )
-        lines += [
-            f"def gravity(u, celsius, {drift}):",
-            f"    dt = np.asarray(celsius)[..., None] - {thermal.reference!r}",
-            "    polynomial = lambda rows: sum(np.array(row) * dt ** (k + 1) for k, row in enumerate(rows))",
-            "    return ((np.asarray(u) - b - polynomial(drift)) / (1 + polynomial(gain))) @ A.T",
-        ]
-    return _with_temperature(lambda _: "\n".join(lines) + "\n", coefficients, affine)
+    return _whole(source, lambda _: "".join(module(source.coefficients, source.origin, source.record.sensor.unit)))
 
 
 def _json(source: Source) -> Export:
-    thermal = coefficients_section(source.coefficients).temperature
+    about = {"A": source.affine.matrix.tolist(), "b": source.affine.offset.tolist(), "unit": source.record.sensor.unit}
 
     def text(bound: float) -> str:
-        data = {
-            "A": source.affine.matrix.tolist(),
-            "b": source.affine.offset.tolist(),
-            "unit": source.record.sensor.unit,
-            "drift": {}
-            if thermal is None
-            else {"offset": plain(thermal.offset), "sensitivity": plain(thermal.sensitivity)},
-            "reference": None if thermal is None else thermal.reference,
-            "bound": bound,
-        }
+        data = {**about, "bound": bound, "formula": FORMULA, **numbers(source.coefficients)}
         return json.dumps(data, indent=1) + "\n"
 
-    return _with_temperature(text, source.coefficients, source.affine)
+    return _whole(source, text)
+
+
+def _whole(source: Source, text: Callable[[float], str]) -> Export:
+    """Return the export to a program that holds all of a calibration, in double precision."""
+    compensation = Compensation(source.coefficients)
+    holds = CROSS_AXIS, TEMPERATURE, NONLINEARITY, THIRD, LAG
+    rounding = np.full(len(source.affine.matrix), 1e-12)
+    return Export(text, lambda u, celsius: np.array(compensation(u, celsius).gravity), holds, rounding)
 
 
 PX4 = (
@@ -291,22 +269,6 @@ def _diagonal(affine: Affine) -> Affine:
     return Affine(np.diag(np.diag(affine.matrix)), affine.offset)
 
 
-def _with_temperature(text: Callable[[float], str], coefficients: Coefficients, affine: Affine) -> Export:
-    """Return the export to a program that holds the affine map with its temperature terms."""
-    thermal = coefficients.thermal
-
-    def gravity(readings: Array, celsius: Array) -> Array:
-        if thermal is None:
-            return affine(readings)
-        dt = celsius - thermal.reference
-        drift, gain = (
-            np.stack([polynomial(row, dt) for row in rows], axis=1) for rows in (thermal.drift, thermal.gain)
-        )
-        return np.asarray(((readings - affine.offset - drift) / (1.0 + gain)) @ affine.matrix.T)
-
-    return Export(text, gravity, (CROSS_AXIS, TEMPERATURE), np.zeros(len(affine.matrix)))
-
-
 def _covariance(source: Source) -> Array:
     """Return the covariance of gravity at level, of a single reading and of the coefficients, g², shape (3, 3)."""
     uncertainty, coefficients = source.record.uncertainty, source.coefficients
@@ -332,7 +294,3 @@ def _number(value: float) -> str:
 
 def _floats(row: Array) -> str:
     return ", ".join(map(float_constant, row))
-
-
-def _array(table: Array) -> str:
-    return repr(table.tolist())
