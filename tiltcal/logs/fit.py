@@ -317,14 +317,7 @@ def _of_log(
     measurements = placed(intervals, procedure, file=file)
     step = even_step(record.by_role[TEMPERATURE]) if TEMPERATURE in record.by_role else 0.0
     means = np.array([[one.summaries[channel].mean for channel in sensor.channels] for one in measurements])
-    return FitPositions(
-        measurements,
-        provenance,
-        temperature_step=step,
-        lengths=means,
-        columns=record.of(sensor.channels),
-        holds=holds,
-    )
+    return FitPositions(measurements, provenance, None, step, means, record.of(sensor.channels), holds)
 
 
 def _remark_warmth(record: RecordedColumns, say: Remark) -> None:
