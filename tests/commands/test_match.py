@@ -223,7 +223,7 @@ class TestRefusals:
         assert "there is no column 'a5'; the log has time, theta, a1, a2, a3, a4" in said
         assert "Name it with --pairs NAME" in said
         said = refused(match(path, *PAIR, "--phase", "angle"), InputError)
-        assert said.endswith("Name it with --phase NAME")
+        assert "Name it with --phase NAME" in said
 
     @pytest.mark.parametrize(
         ("arguments", "said"),
