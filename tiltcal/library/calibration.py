@@ -157,11 +157,14 @@ class CalibratedRange:
         Lowest and highest temperature, °C.
     reading : dict of str to tuple of float
         The rails by channel, unit.
+    directions : tuple of tuple of float, str or None
+        Of three axes the directions of gravity that were met, in the sensor's own frame, or ``all``.
     """
 
     tilt: dict[str, tuple[float, float]]
     temperature: tuple[float, float] | None
     reading: dict[str, tuple[float, float]]
+    directions: tuple[tuple[float, float, float], ...] | str | None = None
 
     def __str__(self) -> str:
         ranges = [(f"tilt {axis}", range, "°") for axis, range in self.tilt.items()]
@@ -246,7 +249,7 @@ class Calibration(SavedCalibration, Applicable):
         """Where the calibration holds, angles in degrees; the rails are the model's where the file names none."""
         limits = limits_of(self.record)
         tilt = {axis: (degrees(low), degrees(high)) for axis, (low, high) in limits.tilt.items()}
-        return CalibratedRange(tilt, limits.temperature, limits.reading)
+        return CalibratedRange(tilt, limits.temperature, limits.reading, limits.directions)
 
     def compensation(self, *, first_order: bool = False) -> Compensation:
         """Return the compensation of readings in arrays, with these coefficients and limits.
