@@ -11,7 +11,7 @@ from operator import itemgetter
 
 import numpy as np
 
-from tiltcal.core.angle_readings import DEGREES
+from tiltcal.core.angle_readings import DEGREES, reads_steep
 from tiltcal.core.attitude import Vector, gravity_from_tilt
 from tiltcal.core.estimation.equations import ChannelReadings, Equations
 from tiltcal.core.estimation.free import UNKNOWNS, planned_uncertain
@@ -21,6 +21,7 @@ from tiltcal.core.model import AXES, Array, Coefficients
 from tiltcal.core.uncertain import Uncertain
 from tiltcal.errors import EstimateError
 
+UNSEEN = 1e-12  # a derivative below this share of the largest is what rounding leaves of zero
 MOST_POSITIONS = 3  # positions that may be proposed to be added to those that leave coefficients undetermined
 WARMER = 20.0  # how much another temperature that is proposed differs, °C
 WORTH = 0.8  # a position is proposed where it brings the largest uncertainty below this share of what it was
@@ -53,7 +54,8 @@ def require_determined(equations: Equations, z: Array) -> None:
         gravity = equations.gravity[channel.places] @ channel.orientation.T
         rows = channel.model.read(z[channel.coefficients], gravity, channel.dt).by_coefficient
         size = np.linalg.norm(rows, axis=0)
-        rows = np.vstack([rows, np.diag(np.where(size > 0, size, 1.0))[np.isfinite(u)]])  # what is stated beside them
+        seen = size > UNSEEN * size.max(initial=0.0)
+        rows = np.vstack([rows, np.diag(np.where(seen, size, 1.0))[np.isfinite(u)]])  # what is stated beside them
         mixed = undetermined(rows[:, moving], np.array(channel.model.coefficients)[moving].tolist())
         if not mixed:
             continue
@@ -88,7 +90,8 @@ def _candidates(channel: ChannelReadings, gravity: Array) -> Iterator[tuple[str,
     """Yield positions that may be added, in words, with up in the sensor frame and °C from the reference."""
     low, high = float(channel.dt.min()), float(channel.dt.max())
     for name, up in CANDIDATES.items():
-        yield name, up, float(channel.dt[0])
+        if not reads_steep(channel.model.angles, up[AXES.index(channel.model.name)]):
+            yield name, up, float(channel.dt[0])
     if not (channel.model.drift or channel.model.gain):
         return
     for words, dt in (
@@ -186,6 +189,8 @@ def _worth_trying(design: Design, positions: Sequence[Observation], *, level: bo
     first, met = positions[0], [one.temperature for one in positions if one.temperature is not None]
     first = replace(first, temperature=met[0] if met else None)
     for name, gravity in CANDIDATES.items():
+        if any(reads_steep(design.angles, gravity[AXES.index(channel)]) for channel in design.channels):
+            continue
         if not level and (any(gravity[AXES.index(axis)] for axis in design.axes) or not design.axes):
             yield replace(first, position=name, gravity=np.array(gravity))
     if design.thermal and met and not level:
