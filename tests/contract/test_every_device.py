@@ -305,3 +305,11 @@ def test_drawn_parts_differ_and_keep_their_tolerances(device: str) -> None:
             assert len(set(errors)) == 60
             # A rectangular distribution ends at 1.73 of its standard deviation.
             assert max(map(abs, errors)) <= 1.74 * spread
+
+
+@pytest.mark.parametrize(
+    "name", ["adxl345", "adxl355", "icm20948", "iis2iclx", "lis3dh", "lsm6ds3", "mma8451", "mpu6050", "msa311"]
+)
+def test_a_part_that_nobody_has_woken_measures_nothing(name: str) -> None:
+    sensor = VirtualDevice(DEVICES[name]).sensor
+    assert set(sensor.registers(*sensor.part.bursts[0]).values()) == {0}

@@ -115,3 +115,10 @@ def test_rounding_ends_what_averaging_gains() -> None:
     samples, limit = sample_size(noise, DT, 0.1 * left)
     assert (noise.step, limit) == (1.0, "rounding")
     assert noise.uncertainty(np.array([samples * DT])) > left * 0.7
+
+
+def test_degrees_of_freedom_are_those_of_nist_sp_1065() -> None:
+    """Table 5 by hand, of 101 phases: averages of four samples; single ones of flicker noise with N - 2 squared."""
+    assert degrees_of_freedom("white", 100.0, 4.0) == pytest.approx(32.9643, rel=1e-5)
+    assert degrees_of_freedom("flicker", 100.0, 1.0) == pytest.approx(86.2005, rel=1e-5)
+    assert degrees_of_freedom("walk", 100.0, 4.0) == pytest.approx(22.8430, rel=1e-5)
