@@ -221,16 +221,7 @@ def calibrate_ramp(sensor: MeasuredSensor, procedure: Ramp, bench: BenchUncertai
     if not renews and at is not None and low <= at <= high:
         reference = at
     design = design_of(sensor.sensor, procedure, bench, nominal=sensor.nominal, base=sensor.base)
-    if low < TEMPERATURES[0] or high > TEMPERATURES[1]:
-        raise EstimateError(
-            f"the temperature goes from {low:g} to {high:g}, and not within {TEMPERATURES[0]:g} to {TEMPERATURES[1]:g} "
-            "°C: convert counts or kelvin to °C first"
-        )
-    for channel, noise, value in zip(design.channels, record.noise, record.readings[0], strict=True):
-        if noise == 0.0:
-            raise EstimateError(
-                f"{channel} reads {value:g} in all {record.rows} rows: it is stuck, not without drift; is it connected?"
-            )
+    _require_sound(record, design.channels)
     fit = fit_ramp(record, reference=reference, highest=procedure.drift)
     # The turns of the temperature are not reached by an element that follows them. The inverse filter amplifies the
     # thermometer's noise, which the means average.
@@ -261,15 +252,8 @@ def calibrate_ramp(sensor: MeasuredSensor, procedure: Ramp, bench: BenchUncertai
         coefficients = replace(coefficients, thermal=replace(coefficients.thermal, range=limits, lag=lag))
     if fit.uses_lag:
         standard = {**standard, "temperature.lag": significant(fit.u_lag, 4)}
-    # The inverse filter amplifies what is random in the temperature of a log.
-    random = (not bench.thermometer and sensor.thermometer) or record.step / sqrt(12.0)
-    if fit.lag < 0.0:
-        noise = row_noise(record.temperature) * sqrt(record.rows / len(record.time))
-        random = max(random, noise) * (1.0 + 1.0 / LOG_SMOOTHING)
-    pace = max(leg.pace for leg in fit.means.legs) / 60.0
-    u_temperature = hypot(bench.thermometer or 0.0, random, fit.u_lag * pace if fit.uses_lag else 0.0, fit.u_element)
     reading = made.uncertainty.single_reading
-    if u_temperature:
+    if u_temperature := _reading_uncertainty(fit, record, bench.thermometer, sensor.thermometer):
         reading = {**reading, "temperature": significant(u_temperature, 4)}
     assumed = made.derived.assumed if known is None else (*made.derived.assumed, f"offset: {OF_BASE}")
     return replace(
@@ -284,6 +268,32 @@ def calibrate_ramp(sensor: MeasuredSensor, procedure: Ramp, bench: BenchUncertai
             ramp=_ramp_record(fit, design.channels),
         ),
     )
+
+
+def _require_sound(record: RampRecord, channels: Sequence[str]) -> None:
+    """Refuse temperatures that are none in °C, and a channel that is stuck."""
+    low, high = _range(record.temperature)
+    if low < TEMPERATURES[0] or high > TEMPERATURES[1]:
+        raise EstimateError(
+            f"the temperature goes from {low:g} to {high:g}, and not within {TEMPERATURES[0]:g} to {TEMPERATURES[1]:g} "
+            "°C: convert counts or kelvin to °C first"
+        )
+    for channel, noise, value in zip(channels, record.noise, record.readings[0], strict=True):
+        if noise == 0.0:
+            raise EstimateError(
+                f"{channel} reads {value:g} in all {record.rows} rows: it is stuck, not without drift; is it connected?"
+            )
+
+
+def _reading_uncertainty(fit: RampFit, record: RampRecord, stated: float | None, own: float | None) -> float:
+    """Return the standard uncertainty of a temperature in a log, °C, with those that are stated or of the step."""
+    # The inverse filter amplifies what is random in it.
+    random = (not stated and own) or record.step / sqrt(12.0)
+    if fit.lag < 0.0:
+        noise = row_noise(record.temperature) * sqrt(record.rows / len(record.time))
+        random = max(random, noise) * (1.0 + 1.0 / LOG_SMOOTHING)
+    pace = max(leg.pace for leg in fit.means.legs) / 60.0
+    return hypot(stated or 0.0, random, fit.u_lag * pace if fit.uses_lag else 0.0, fit.u_element)
 
 
 def _require_attitude(base: CalibrationRecord, reading: Array, attitude: Measurement, jig: float) -> None:

@@ -118,14 +118,9 @@ def fit_ramp(record: RampRecord, *, reference: float, highest: int = 3) -> RampF
         if lag < 0.0:
             in_log = means.averaged(ThermalLag(lag)(record.time, record.temperature)) - reference
             u_element = float(np.sqrt(np.mean((in_log - means.temperature(lag)) ** 2)))
-    # A zero that wanders differs at one temperature: the curve may follow one leg and the truth another, all along it.
     left = np.abs(loops[1] if used else loops[0])
     apart = np.max(left, axis=0, where=left > _APART * _white_loops(means, places), initial=0.0)
-    for block, difference in zip(_blocks(coefficients), apart.tolist(), strict=True):
-        if not loop_covariance[block, block].any():
-            turned = 2.0 * difference / sqrt(3.0) / (high - low)
-            for term, u in enumerate((difference / sqrt(3.0), turned)):
-                loop_covariance[block.start + term, block.start + term] += u**2
+    _add_zero_drift(loop_covariance, _blocks(coefficients), apart, high - low)
     # Rounding of the thermometer does not average out at the turns.
     slopes = np.pad(coefficients[:, 1:] * np.arange(1, coefficients.shape[1]), ((0, 0), (0, 1)))
     for block, slope in zip(_blocks(slopes), slopes, strict=True):
@@ -146,6 +141,18 @@ def fit_ramp(record: RampRecord, *, reference: float, highest: int = 3) -> RampF
         error_by_order={order: float(np.mean(error)) for order, error in (lagged if used else plain).items()},
         means=means,
     )
+
+
+def _add_zero_drift(covariance: Array, blocks: Sequence[slice], apart: Array, width: float) -> None:
+    """Add zero drift to a covariance where no loop counts, by how far apart the legs are, (channels,).
+
+    The legs differ at one temperature: the curve may follow one leg and the truth another, all along its width.
+    """
+    for block, difference in zip(blocks, apart.tolist(), strict=True):
+        if not covariance[block, block].any():
+            turned = 2.0 * difference / sqrt(3.0) / width
+            for term, u in enumerate((difference / sqrt(3.0), turned)):
+                covariance[block.start + term, block.start + term] += u**2
 
 
 def _with_lag(means: RampMeans, order: int) -> tuple[float, float, Array, Array]:
