@@ -65,7 +65,7 @@ class _CtrlC:
             from signal import SIGALRM
 
             signal(SIGALRM, self._raise)
-            sys.unraisablehook = self._raise_again
+        sys.unraisablehook = self._raise_again
 
     def _raise(self, *_: object) -> None:
         self.came = True
@@ -76,7 +76,7 @@ class _CtrlC:
             from signal import ITIMER_REAL, setitimer
 
             setitimer(ITIMER_REAL, _AGAIN)
-        else:
+        elif "TILTCAL_TRACEBACK" in os.environ:  # else what a library fails on while it cleans up helps nobody
             sys.__unraisablehook__(dropped)
 
 

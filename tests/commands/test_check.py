@@ -53,6 +53,10 @@ def test_a_schema_is_printed_without_files_alone() -> None:
     assert "--schema prints the JSON Schema of a kind and checks no file" in result.stderr
 
 
+CHAMBER = (
+    'chamber: {kind: modbus, address: "modbus:tcp://127.0.0.1:502", limits: {}, tolerance: 0.5, '
+    'registers: {temperature: {set: "100", read: "200"}}}'
+)
 BENCH = """tiltcal: 1
 kind: bench
 jig: 0.1
@@ -70,6 +74,7 @@ def test_wrong_bench_files_are_named(tmp_path: Path) -> None:
         ("thermometer: {model: sca100t-d02", "thermometer: {model: scb", ":4: thermometer: no sensor model"),
         ("0.1", "0,1", ":3: jig: a number is needed here, found '0,1'; write the point as '.'"),
         ("0.1", "0.1°", ":3: jig: a number is needed here, found '0.1°'; write the number alone"),
+        ("jig: 0.1", f"jig: 0.1\n{CHAMBER}", ":4: chamber.limits: name at least one key here"),
         ("0.1", "0.1 deg", ":3: jig: a number is needed here, found '0.1 deg'; write the number alone"),
     ):
         assert BENCH.count(old) == 1

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import h5netcdf
@@ -13,6 +14,8 @@ import pytest
 from support import FIXTURES
 from support.command import tiltcal, tiltcal_process
 
+import tiltcal as tiltcal_library
+from tiltcal.files.coefficients import Covariance
 from tiltcal.logs.formats import open_log
 
 PANICS = Path(__file__).parents[1] / "support" / "damaged" / "panic.parquet"
@@ -115,3 +118,24 @@ def test_every_kind_of_column_to_csv(tmp_path: Path) -> None:
     readings.with_columns(list=pl.Series([[1], [2]])).write_parquet(tmp_path / "log.parquet")
     done = tiltcal("apply", CAL, "log.parquet", "-o", "out.csv", cwd=tmp_path)
     assert (done.returncode, "log.parquet: this log cannot become CSV: " in done.stderr) == (2, True)
+    # The engine's calendar, chrono's, ends in the year 262142: 8.21e15 ms or 95 million days after 1970.
+    for beyond in (
+        pl.Series([0, 9_200_000_000_000_000_000]).cast(pl.Datetime("us")),
+        pl.Series([0, -9_200_000_000_000_000]).cast(pl.Datetime("ms", "UTC")),
+        pl.Series([0, 100_000_000], dtype=pl.Int32).cast(pl.Date),
+    ):
+        readings.with_columns(late=beyond).write_parquet(tmp_path / "log.parquet")
+        done = tiltcal("apply", CAL, "log.parquet", "-o", "beyond.csv", cwd=tmp_path)
+        assert (done.returncode, "column 'late' has a date after the year 262142" in done.stderr) == (2, True)
+    assert not (tmp_path / "beyond.csv").exists()
+
+
+def test_a_calibration_that_every_command_would_refuse_is_not_written(tmp_path: Path) -> None:
+    calibration = tiltcal_library.read(FIXTURES / "plane.yaml")
+    uncertainty = calibration.record.uncertainty
+    matrix = ((1.0, 2.0), (2.0, 1.0))  # a correlation of 2
+    wrong = replace(uncertainty, covariance=Covariance(parameters=("offset.x", "offset.y"), matrix=matrix))
+    contradictory = type(calibration)(replace(calibration.record, uncertainty=wrong))
+    with pytest.raises(tiltcal_library.EstimateError, match=r"S\.yaml is not written, for the result"):
+        contradictory.save(tmp_path / "S.yaml")
+    assert not (tmp_path / "S.yaml").exists()

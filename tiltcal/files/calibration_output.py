@@ -6,10 +6,10 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
-from tiltcal.errors import Argument, InputError, UsageError
+from tiltcal.errors import Argument, EstimateError, InputError, UsageError
 from tiltcal.files.atomic import check_writable, write_whole
 from tiltcal.files.calibration import CalibrationRecord, tilt_record
-from tiltcal.files.document import read_document
+from tiltcal.files.document import parse_document, read_document
 from tiltcal.files.pair import PairRecord, pair_record
 
 Sensors = tuple[str | tuple[str, str], ...]
@@ -19,8 +19,17 @@ Sensors = tuple[str | tuple[str, str], ...]
 def write_calibration(
     path: str | Path, text: str, sensors: Sensors, remark: Callable[[str], None] | None = None
 ) -> None:
-    """Write a calibration file, whole or not at all; the errors are those of :func:`require_replaceable`."""
+    """Write a calibration file, whole or not at all; the errors are those of :func:`require_replaceable`.
+
+    EstimateError: the text would be refused by whatever reads it.
+    """
     replaced = require_replaceable(path, sensors)
+    try:
+        document = parse_document(text)
+        _ = pair_record(document) if sensors[0] == "pair" else tilt_record(document)
+    except InputError as contradiction:
+        why = f"{path} is not written, for the result contradicts itself: {contradiction}"
+        raise EstimateError(why, advice="leave out the sessions that disagree") from None
     write_whole(path, text)
     if replaced and remark:
         remark(replaced)

@@ -122,7 +122,14 @@ class Document:
         """Return the document as a record; an InputError names file, line and key of what is wrong."""
         with suppress(msgspec.ValidationError):
             return msgspec.convert(self.data, record, strict=False)
-        return msgspec.convert(_repaired(self, record), record, strict=False)
+        try:
+            return msgspec.convert(_repaired(self, record), record, strict=False)
+        except msgspec.ValidationError as failure:
+            why, _, place = str(failure).partition(" - at `$")
+            steps = [int(step) if step.isdigit() else step for step in re.findall(r"\w+", place)]
+            raise self.error(
+                why.replace("Expected `object` of length >= 1", "name at least one key here"), *steps
+            ) from None
 
     @property
     def kind(self) -> str | None:

@@ -33,6 +33,7 @@ _BLOCK = 6 << 20
 _TOP = 1 << 16  # bytes in which the dialect is looked for
 _LONGEST_ROW = 16 << 20
 _UTF16 = ("utf-16-le", "utf-16-be")
+_LATEST = 8_210_266_876_799_999  # ms since 1970 at the end of the year 262142, where the engine's calendar ends
 _MOST_DROPPED = 1 << 16  # lines between rows whose places are kept, for the line of a row in a message
 _LOSES_ITSELF = r"^\s*[+-]?(?:0\d|\d{16})"
 """What a number begins with that a double would not give back as it stood."""
@@ -385,8 +386,13 @@ class CsvWriter(LogWriter):
 
         if verbatim:
             return pl.DataFrame({"": cast("CsvBlock", block).lines, **table})
-        moment = "%Y-%m-%dT%H:%M:%S%.f"
-        words = block.framed().with_columns(
+        moment, frame = "%Y-%m-%dT%H:%M:%S%.f", block.framed()
+        for column in frame.select(selectors.datetime() | selectors.date()):
+            column = column.cast(pl.Datetime("ms")) if column.dtype == pl.Date else column
+            if (column.dt.cast_time_unit("ms").to_physical().abs() > _LATEST).any():
+                why = f"column {column.name!r} has a date after the year 262142, which has no text: write .parquet"
+                raise InputError(why, file=self.log.name)
+        words = frame.with_columns(
             selectors.duration().dt.to_string("iso"),
             selectors.datetime(time_zone=None).dt.to_string(moment),
             selectors.datetime(time_zone="*").dt.convert_time_zone("UTC").dt.to_string(moment + "Z"),

@@ -8,7 +8,7 @@ single topic of this type.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from contextlib import AbstractContextManager
+from contextlib import contextmanager
 from hashlib import sha256
 from itertools import islice
 from pathlib import Path
@@ -102,5 +102,11 @@ class RosbagReader(LogReader):
                 acceleration, rate = message.linear_acceleration, message.angular_velocity
                 yield seconds, acceleration.x, acceleration.y, acceleration.z, rate.x, rate.y, rate.z
 
-    def _refusing_damage(self) -> AbstractContextManager[None]:
-        return refusing("this is no bag of ROS, or a damaged or truncated one", self.name)
+    @contextmanager
+    def _refusing_damage(self) -> Iterator[None]:
+        damaged = "this is no bag of ROS, or a damaged or truncated one"
+        try:
+            with refusing(damaged, self.name):
+                yield
+        except MemoryError as failure:  # a length in the file is read as it stands
+            raise InputError(f"{damaged}: a length in it is beyond all memory", file=self.name) from failure

@@ -10,6 +10,7 @@ import pytest
 from support.command import tiltcal
 
 import tiltcal as library
+from tiltcal.logs.formats import open_log
 
 pytest.importorskip("rosbags", reason="the rosbags package is not installed")
 
@@ -87,3 +88,17 @@ def test_a_topic_is_named_where_there_are_several(tmp_path: Path) -> None:
         assert damaged.returncode == 2, name
         assert "damaged or truncated" in damaged.stderr, name
     assert tiltcal("noise", tmp_path / "none.mcap", "--unit", "m/s2").stderr.endswith("none.mcap: no such file\n")
+
+
+def test_a_length_beyond_all_memory_is_damage(tmp_path: Path) -> None:
+    """Of 16 TB, at places in the summary at the end of a bag."""
+    run, said = bag(tmp_path / "run", np.zeros((3, 3))), []
+    whole = run.read_bytes()
+    for place in range(len(whole) - 500, len(whole), 5):
+        run.write_bytes(whole[:place] + (2**44).to_bytes(8, "little") + whole[place + 8 :])
+        try:
+            with open_log(run) as log:
+                list(log.rows([0, 1]))
+        except library.InputError as error:
+            said.append(str(error))
+    assert sum("a length in it is beyond all memory" in text for text in said) >= 3
