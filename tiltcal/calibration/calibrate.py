@@ -55,11 +55,10 @@ def calibrate(
     part = ""
     sensors = [with_convention(sensor, procedure, known) for sensor in sensors]
     bases = [(sensor.base, sensor.measurements) for sensor in sensors if sensor.base is not None]
-    if table and isinstance(procedure, Positions):
-        for sensor in sensors:
-            design = design_of(sensor.sensor, procedure, known, nominal=sensor.nominal, base=sensor.base)
-            unknowns = len(set(design.names) - set(design.priors))
-            _require_stated(sensor.measurements, len(sensor.measurements) * len(design.channels) - unknowns)
+    for sensor in sensors if table and isinstance(procedure, Positions) else ():
+        design = design_of(sensor.sensor, procedure, known, nominal=sensor.nominal, base=sensor.base)
+        unknowns = len(set(design.names) - set(design.priors))
+        _require_stated(sensor.measurements, len(sensor.measurements) * len(design.channels) - unknowns)
     match procedure:
         case MountingCompletion():
             from tiltcal.calibration.complete import mount
@@ -92,10 +91,8 @@ def calibrate(
     if table and not procedure.needs_base:
         found = [_of_table(record, its.measurements) for record, its in zip(found, sensors, strict=True)]
     found = [replace(record, procedure=record.procedure.replaced(**own)) for record in found]
-    found = [
-        finished(record, remarks(before, sensor))
-        for record, before, sensor in zip(found, measured, sensors, strict=True)
-    ]
+    said = [remarks(before, sensor) for before, sensor in zip(measured, sensors, strict=True)]
+    found = list(map(finished, found, said))
     return found if gravity is None else [_of_local_gravity(record, gravity) for record in found]
 
 
