@@ -46,10 +46,10 @@ SHORTLY = 5.0
 """Seconds in which a thread that has been told to end has to end."""
 
 
-# Tokens of pages lie in the user's folder, and a session that a test stops leaves one there.
+# Tokens of pages and defaults lie in folders of the user; a session that a test stops leaves a token there.
 _runtime = tempfile.TemporaryDirectory(ignore_cleanup_errors=True)
 atexit.register(_runtime.cleanup)
-os.environ["XDG_RUNTIME_DIR"] = _runtime.name
+os.environ["XDG_RUNTIME_DIR"] = os.environ["XDG_CONFIG_HOME"] = _runtime.name
 
 
 gc.disable()  # while the tests are collected, which makes a million objects that stay

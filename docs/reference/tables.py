@@ -14,6 +14,7 @@ from msgspec.structs import fields
 from tiltcal.files.bench import BenchFile
 from tiltcal.files.calibration import LimitsSection, SensorIdentity, TiltFile
 from tiltcal.files.coefficients import CoefficientsSection, UncertaintySection
+from tiltcal.files.defaults import DefaultsFile
 from tiltcal.files.device import DeviceFile
 from tiltcal.files.pair import PairFile
 from tiltcal.files.procedure_file import ProcedureFile, RotationSection
@@ -38,6 +39,7 @@ TABLES: dict[str, type[Struct]] = {
     "procedure": ProcedureFile,
     "rotation": RotationSection,
     "bench": BenchFile,
+    "defaults": DefaultsFile,
     "device": DeviceFile,
     "twin": TwinFile,
     "disk": DiskSection,

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Annotated, TypedDict
 
 from tiltcal.errors import Argument
+from tiltcal.files.defaults import Defaults
 from tiltcal.options import Option
 from tiltcal.stated_arguments import (
     require_above_zero,
@@ -42,6 +43,7 @@ _whole_samples = partial(require_whole, least=2, what="samples")
 _Samples = Annotated[
     int | None, Option("Samples per position, in place of the procedure's.", "N", _POSITIONS, check=_whole_samples)
 ]
+_Defaults = Annotated[Defaults | None, Option("What a tiltcal.toml states; the command passes it.")]
 _Lean = Annotated[float | None, _u("the lean of the table that all positions share")]
 
 
@@ -123,6 +125,7 @@ class MeasureOptions(TypedDict, total=False):
         ),
     ]
     typical_temperature: Annotated[bool, _flag("Use the mean temperature curves of the data sheet.", group=_KNOWN)]
+    defaults: _Defaults
     remark: Annotated[Callable[[str], None], Option("Gets each remark, a line of text.", default=unheard)]
     result: Annotated[
         Callable[[str], None] | None,
@@ -160,3 +163,4 @@ class PlanOptions(TypedDict, total=False):
             check=require_from_zero,
         ),
     ]
+    defaults: _Defaults

@@ -40,6 +40,7 @@ GROUPS = {
         "history": "show the calibrations of a folder: dates, changes, what is due, outliers",
         "check": "check any tiltcal file",
         "replay": "repeat a recorded session without hardware",
+        "config": "show the defaults that a tiltcal.toml states",
         "demo": "measure, calibrate, apply and report on the virtual bench",
     },
 }

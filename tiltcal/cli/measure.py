@@ -8,6 +8,7 @@ import click
 
 from tiltcal.bench.options import MeasureOptions
 from tiltcal.cli import options
+from tiltcal.cli.config import defaults_here
 from tiltcal.cli.talk import remark
 
 
@@ -26,4 +27,4 @@ def command(procedure: str | None, **settings: Any) -> None:
     """
     from tiltcal.library.measure import measure
 
-    measure(procedure, remark=remark, result=click.echo, **settings)
+    measure(procedure, remark=remark, result=click.echo, defaults=defaults_here(), **settings)

@@ -16,6 +16,7 @@ from tiltcal.bench.session import Session
 from tiltcal.bench.setup import free_journal, new_setup, single
 from tiltcal.calibration.verification import LIMIT, PASSED
 from tiltcal.cli import options
+from tiltcal.cli.config import defaults_here
 from tiltcal.cli.talk import remark
 from tiltcal.errors import NEGATIVE_VERDICT, UsageError
 from tiltcal.files.calibration import CalibrationRecord, read_calibration
@@ -65,6 +66,7 @@ def command(
         path = Path(stated["journal"]) if stated["journal"] else free_journal(beside, remark)
         sensor, device = judged.sensor, judged.device
         bench = single(sensor.model, sensor.serial, stated["address"], stated["jig"], device)
+        bench = defaults_here().completing(bench, "operator", "references", "jig")
         steps = find_procedure(procedure, stated["tilt"]).in_positions().verifying()
         setup = new_setup(
             steps,

@@ -28,6 +28,7 @@ from tiltcal.errors import Argument, HardwareError, JournalError, UsageError, li
 from tiltcal.files.atomic import require_apart
 from tiltcal.files.bench import BenchFile
 from tiltcal.files.calibration import CalibrationRecord, read_calibration
+from tiltcal.files.defaults import Defaults
 from tiltcal.files.device import model_named
 from tiltcal.files.document import read_document
 from tiltcal.files.procedure import LevelCompletion, Procedure, Rotation, find_procedure
@@ -44,7 +45,18 @@ _NOT_PREDICTED = (
     "after n samples of noise s, where A is the amplitude of an accelerometer at the spin frequency"
 )
 
-NOT_REPEATED = ("output", "resume", "operator", "plain", "python", "hands_free", "listen", "remark", "result")
+NOT_REPEATED = (
+    "output",
+    "resume",
+    "operator",
+    "plain",
+    "python",
+    "hands_free",
+    "listen",
+    "defaults",
+    "remark",
+    "result",
+)
 """The options that a session which goes on may have anew."""
 
 
@@ -103,6 +115,7 @@ def plan(procedure: str | Path, **options: Unpack[PlanOptions]) -> Plan:
     if known is not None:
         known = known.with_stated(jig=jig, table_lean=stated["table_lean"])
         jig, stated["table_lean"] = known.jig, known.table_lean
+    jig = (stated["defaults"] or Defaults()).instead("jig", jig)
     bench = BenchUncertainty(jig, stated["thermometer"], stated["table_lean"])
     bench = uncertainty_with(None if known is None else reference_of(known), bench)
     return predict(steps, model, bench, noise=noise, samples=samples, base=own)
@@ -212,8 +225,8 @@ def resumed(
 def _begun(procedure: str | Path | None, given: MeasureOptions) -> Session:
     """Return a new session, and remark how well it will determine the coefficients."""
     base, remark, named = given["base"], given["remark"], cast("BenchFile | str | Path | None", given["bench"])
-    output = None if given["output"] is None else Path(given["output"])
-    one = _one_sensor(procedure, given)
+    defaults = given["defaults"] or Defaults()
+    one = _one_sensor(procedure, given, "folder" in defaults.values)
     steps = find_procedure(str(procedure), given["tilt"])
     steps = steps.with_turns(given["turns"]).with_alignment(given["alignment"])
     if given["closing"]:
@@ -228,6 +241,11 @@ def _begun(procedure: str | Path | None, given: MeasureOptions) -> Session:
         bench = known_bench(read_document(named))
         require_trusted(bench, named, given["python"])
     bench = bench.with_stated(jig=given["jig"], table_lean=given["table_lean"], heading=given["heading"])
+    turns = isinstance(steps, Rotation)
+    bench = defaults.completing(bench, "operator", "references", *([] if turns else ["jig"]))
+    output = given["output"] if turns else defaults.instead("folder", given["output"])
+    if output is not None:
+        output = Path(output) / ("" if given["output"] or named else f"{one['serial']}.yaml")
     bases = bases_of(steps, base, [sensor.serial for sensor in bench.sensors])
     outputs, beside = _outputs(steps, bench, named, output)
     read = [path for path in (procedure, base, named) if isinstance(path, str | Path) and os.path.isfile(path)]
@@ -252,23 +270,26 @@ def _begun(procedure: str | Path | None, given: MeasureOptions) -> Session:
     for why in setup.overdue():
         remark(why)
     try:
-        if named is not None:
+        if named is not None or given["output"] is None:
             beside.parent.mkdir(exist_ok=True)
     except OSError as error:
-        folder = f" names the folder for the calibration files; {beside.parent} cannot be made: {error.strerror}"
-        raise UsageError(("with ", Argument("bench"), ", ", Argument("output"), folder)) from None
+        why = f"{beside.parent}, the folder for the calibration files, cannot be made: {error.strerror}"
+        raise UsageError(why, advice=("name another with ", Argument("output"))) from None
     return Session(setup, path)
 
 
-def _one_sensor(procedure: str | Path | None, given: MeasureOptions) -> dict[str, str | None]:
-    """Return model, address and serial number of one sensor, stated or of its base; refuse what is not stated."""
+def _one_sensor(procedure: str | Path | None, given: MeasureOptions, filed: bool) -> dict[str, str | None]:
+    """Return model, address and serial number of one sensor, stated or of its base; refuse what is not stated.
+
+    ``filed`` is whether the output has a default.
+    """
     sensor, serial, base = given["sensor"], given["serial"], given["base"]
     if base is not None and given["bench"] is None and os.path.isfile(base):
         identity = read_calibration(base).sensor
         sensor, serial = sensor or identity.model, serial or identity.serial
     one = {"sensor": sensor, "address": given["address"], "serial": serial}
     wanted = {"procedure": procedure, **({} if given["bench"] is not None else {**one, "output": given["output"]})}
-    absent = [name for name, value in wanted.items() if value is None]
+    absent = [name for name, value in wanted.items() if value is None and not (filed and name == "output")]
     if given["resume"] is not None and absent:
         raise JournalError("no such journal", file=str(given["resume"]))
     if absent:
