@@ -8,7 +8,6 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
 
 import tiltcal
 from tiltcal.bench.machines import require_reachable
@@ -20,7 +19,7 @@ from tiltcal.files.calibration import BaseFile
 from tiltcal.files.device import DeviceFile
 from tiltcal.files.document import Document
 from tiltcal.files.moments import stamp
-from tiltcal.files.procedure import PositionProcedure, Positions, Procedure, Rotation, VerifyingPositions
+from tiltcal.files.procedure import Positions, Procedure, Rotation, VerifyingPositions
 from tiltcal.files.record import plain
 from tiltcal.journal.header import TYPICAL, BenchDevice, Settings, Setup, thermometer_of
 from tiltcal.stated_arguments import require_printable
@@ -127,14 +126,7 @@ def new_setup(
         table=bench.table,
         chamber=bench.chamber,
         references=bench.references,
-        settings=Settings(
-            jig=bench.jig,
-            thermometer=None if bench.thermometer is None else bench.thermometer.uncertainty,
-            table_lean=bench.table_lean,
-            heading=bench.heading,
-            angles=angles,
-            **_sampling(procedure, samples, settle),
-        ),
+        settings=_settings(procedure, bench, samples, settle).replaced(angles=angles),
         procedure=dict(procedure.record),
         bases=bases or {},
         typical_temperature=typical,
@@ -171,13 +163,17 @@ def _require_suitable(setup: Setup) -> None:
             raise UsageError(f"no source states how a {device.model} behaves over temperature on average: measure it")
 
 
-def _sampling(procedure: Procedure, samples: int | None, settle: float | None) -> dict[str, Any]:
-    """Return the settings of a procedure, with samples and seconds that are stated in place of its own."""
-    match procedure:
-        case Rotation():
-            return {"turns": procedure.turns}
-        case PositionProcedure():
-            held = settle or procedure.settle
-            soak = procedure.soak.seconds * (held / procedure.settle)
-            return {"samples": samples or procedure.samples, "settle": held, "soak": soak, "angle": procedure.angle}
-    raise NotImplementedError
+def _settings(procedure: Procedure, bench: BenchFile, samples: int | None, settle: float | None) -> Settings:
+    """Return the settings of a procedure at a bench, with samples and seconds that are stated in place of its own."""
+    settings = Settings(
+        jig=bench.jig,
+        thermometer=None if bench.thermometer is None else bench.thermometer.uncertainty,
+        table_lean=bench.table_lean,
+        heading=bench.heading,
+    )
+    if isinstance(procedure, Rotation):
+        return settings.replaced(turns=procedure.turns)
+    steps = procedure.in_positions()
+    held = settle or steps.settle
+    soak = steps.soak.seconds * (held / steps.settle)
+    return settings.replaced(samples=samples or steps.samples, settle=held, soak=soak, angle=steps.angle)
