@@ -130,6 +130,7 @@ def test_six_face_on_spi_and_on_i2c(warm: WarmStart, tmp_path: Path) -> None:
     # The part's own thermometer: 24 °C is raw 257.8, sent as 258, read as 24.1 °C.
     assert [position.temperature for position in found.positions] == pytest.approx([24.11] * 6, abs=0.01)
     part = Sca3000Part(thermometer=False, seed=2)
+    (tmp_path / "S-0042.yaml").unlink()  # the calibration of another model is never replaced
     with run_on(program(warm.program, "six-face", tmp_path, *SCA3000_ON_I2C), part, 0x1D) as bench:
         bench.lead()
         assert bench.exit_code == 0, bench.errors()
