@@ -77,7 +77,7 @@ def test_a_command_loads_what_it_needs(tmp_path: Path) -> None:
     shutil.copy(ROOT / "fixtures" / "complete.yaml", tmp_path / "S.yaml")
     (tmp_path / "log.csv").write_text("time,x,y,temperature\n0.0,1024,1022,20.5\n0.1,1030,1019,20.5\n")
     for command, needed in (
-        ("devices", set()),
+        ("devices", {"yaml"}),  # of the devices by their manual
         ("check S.yaml", {"numpy", "yaml"}),
         ("diff S.yaml S.yaml", {"numpy", "yaml", "scipy"}),  # for Student's t
         ("plan plane --sensor sca100t-d02 --jig 0.1", {"numpy", "yaml"}),
