@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from tiltcal.drivers.model import Model
 
-__all__ = ["find_model", "models"]
+__all__ = ["find_model", "model_names", "models"]
 
 PLUG_INS = "tiltcal.devices"
 
@@ -83,6 +83,11 @@ def models() -> Iterator[Model]:
         yield _built_in(name)
     for _, (entry,) in sorted(plug_ins.items()):
         yield _loaded(entry)
+
+
+def model_names() -> list[str]:
+    """Return the name of every sensor model, none of which is imported."""
+    return [*_BUILT_IN, *sorted(_plug_ins(tuple(sys.path)))]
 
 
 def _built_in(name: str) -> Model:

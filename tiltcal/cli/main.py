@@ -6,6 +6,7 @@ import errno
 import sys
 from contextlib import suppress
 from importlib import import_module
+from typing import TYPE_CHECKING
 
 import click
 
@@ -13,6 +14,9 @@ from tiltcal import __version__
 from tiltcal.cli.talk import in_options, talk, versions
 from tiltcal.errors import INTERRUPTED, TiltcalError, UsageError
 from tiltcal.printable import printable
+
+if TYPE_CHECKING:
+    from click.shell_completion import CompletionItem
 
 GROUPS = {
     "Commands of the bench": {
@@ -66,6 +70,12 @@ class Commands(click.Group):
             return None
         command: click.Command = import_module(f"tiltcal.cli.{cmd_name}").command
         return command
+
+    def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
+        from click.shell_completion import CompletionItem
+
+        found = [CompletionItem(name, help=line) for name, line in COMMANDS.items() if name.startswith(incomplete)]
+        return [*found, *click.Command.shell_complete(self, ctx, incomplete)]
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]

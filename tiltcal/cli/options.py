@@ -13,6 +13,7 @@ from typing import Any, TypeVar, get_args
 
 import click
 
+from tiltcal.cli.completion import complete
 from tiltcal.options import flag_of, options_of
 from tiltcal.stated_arguments import require_above_zero, require_whole
 
@@ -36,6 +37,11 @@ SHORT = 7
 
 class Command(click.Command):
     """A command whose options are listed below headings: those of their declaration, else the most used first."""
+
+    def __init__(self, *names: Any, **how: Any) -> None:
+        super().__init__(*names, **how)
+        for param in self.params:
+            complete(param)
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         options = {max(one.opts, key=len): one for one in self.get_params(ctx) if isinstance(one, click.Option)}
