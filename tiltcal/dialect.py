@@ -272,7 +272,12 @@ class Dialect:
     @cached_property
     def _head(self) -> frozenset[str]:
         lines = (without_clock(line)[1] if self.has_clock else line for line in self.head)
-        return frozenset(text for line in lines if (text := line.strip()))
+        return frozenset(text for line in lines if (text := line.strip()) and not self._has_numbers(text))
+
+    def _has_numbers(self, text: str) -> bool:
+        """Return whether a line could be a row: what stood before the table may come again as one."""
+        cells = split(text, self.separator)
+        return len(cells) == len(self.names) and "number" in map(kind_of, cells)
 
     def is_other_header(self, line: str) -> bool:
         """Return whether a line inside the table names columns, other ones than those of the table."""
