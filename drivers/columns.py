@@ -196,6 +196,8 @@ class ColumnLayout:
         """Return the cells of a line as it is printed, each with its label, empty without one."""
         whole = line.decode(errors="replace").strip()
         text = without_clock(whole)[1].strip()
+        if not text.replace("\t", " ").isprintable():
+            return []
         if text.startswith("{"):
             try:
                 return [(key, cell.strip()) for key, cell in flattened(json.loads(text)).items()]
@@ -204,7 +206,9 @@ class ColumnLayout:
         texts, numbers = printed(text)
         if any(character.isalpha() for around in texts for character in around):  # labels or units
             # A number with something stuck to it is none.
-            sound = not any(character.isdigit() for around in texts for character in _WORD.sub("", around))
+            sound = "\ufffd" not in text and not any(
+                character.isdigit() for around in texts for character in _WORD.sub("", around)
+            )
             if sound and len(numbers) == len(self.names):
                 return list(zip(labels_of(texts), numbers, strict=True))
         # A column that is skipped may hold words, or the clock.

@@ -16,7 +16,7 @@ from tiltcal.errors import UsageError
 
 ACCELERATION = ("m/s2", "m/s^2", "m/s²")
 
-OF_G = {"g": 1.0, "mg": 1000.0, **dict.fromkeys(ACCELERATION, 9.80665)}
+OF_G = {"g": 1.0, "mg": 1000.0, "mm/s2": 9806.65, **dict.fromkeys(ACCELERATION, 9.80665)}
 """What 1 g is in the units that imply a nominal sensitivity."""
 
 OF_TILT = {

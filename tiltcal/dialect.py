@@ -260,7 +260,7 @@ class Dialect:
         """Return what a line is that is no row: ``empty``, ``comment``, ``header``, ``other``; nothing if it is one."""
         text = (without_clock(line)[1] if self.has_clock else line).strip()
         if not text:
-            return "empty" if len(self.names) > 1 or not self.is_plain else ""
+            return "empty"
         if text in self._head:
             return "header"
         if text.startswith(self.comments) and not (

@@ -25,8 +25,6 @@ from tiltcal.logs.log import LogReader, Progress
 SAME_LENGTH, APART = 0.05, 30.0  # of two attitudes that show it: their lengths, relative, and the turn between, degrees
 CONTRADICTED = 0.15  # largest relative difference of the length of gravity from that of the unit
 
-UNIT_LENGTHS = {**OF_G, "mm/s2": 9806.65}
-
 
 @dataclass(frozen=True)
 class Recordings:
@@ -170,7 +168,7 @@ def unit_of_length(means: Array, columns: Sequence[Array], *, alone: bool = Fals
 
 def length_remark(means: Array, unit: str, columns: Sequence[Array]) -> str | None:
     """Return what speaks against a unit that is stated: the length of gravity at rest, of means (n, 3)."""
-    usual = UNIT_LENGTHS.get(unit)
+    usual = OF_G.get(unit)
     if usual is None or means.shape[1] != 3:
         return None
     length = float(np.median(np.linalg.norm(means, axis=1)))

@@ -162,11 +162,6 @@ def _judges_nothing(means: Array, u: Array) -> FreeFit:
     raise EstimateError("nothing is judged")
 
 
-def different(means: Array) -> Array:
-    """Return a direction of each group of attitudes that count as one, of mean readings (n, 3)."""
-    return different_directions(_directions(means))
-
-
 def judge_of(positions: Mapping[str, Vector], channels: Sequence[str]) -> Judge | None:
     """Return what names and fits the attitudes of a log in positions, g by name; None where readings cannot tell them.
 
@@ -264,8 +259,7 @@ def _too_few(tried: Sequence[StaticDetection], columns: Sequence[Array], lost: i
         count = 0 if most is None else len(most.intervals)
         found = f"enough attitudes to determine the sensor and check the result (10, better 12 to 18): at most {count}"
         if most is not None and count > UNKNOWNS:
-            directions = _directions(np.array([mean_of(columns, spans)[0] for spans in most.intervals]))
-            kinds = different_directions(directions)
+            kinds = different(np.array([mean_of(columns, spans)[0] for spans in most.intervals]))
             if len(kinds) <= UNKNOWNS:
                 found = f"{found}, of which {len(kinds)} are different"
                 longer = f"Add other attitudes, such as the one with {farthest(kinds)} up"
@@ -289,17 +283,12 @@ def may_be_means(columns: Sequence[Array]) -> bool:
     return bool(near.mean() > 1.0 - NEARLY and np.ptp(rows, axis=0).max() > float(np.median(lengths)))
 
 
-def _directions(means: Array) -> Array:
-    """Return the directions of readings about the middle of all, unit vectors, (n, 3)."""
+def different(means: Array) -> Array:
+    """Return a direction of each group of attitudes that count as one, unit vectors, of mean readings (n, 3)."""
     half = np.maximum(np.ptp(means, axis=0) / 2.0, 1e-300)
     up = (means - (means.max(axis=0) + means.min(axis=0)) / 2.0) / half
-    return np.asarray(up / np.maximum(np.linalg.norm(up, axis=1, keepdims=True), 1e-300))
-
-
-def different_directions(directions: Array) -> Array:
-    """Return one of each group of directions that are nearer than attitudes that count as different."""
     kept = list[Array]()
-    for one in directions:
+    for one in up / np.maximum(np.linalg.norm(up, axis=1, keepdims=True), 1e-300):
         if all(float(one @ other) < cos(radians(DIFFERENT_ATTITUDE)) for other in kept):
             kept.append(one)
     return np.array(kept)
