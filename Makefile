@@ -16,7 +16,7 @@ ifneq ($(shell cat $(STAMP) 2>/dev/null),$(shell $(IDENTIFY) 2>/dev/null))
 .PHONY: $(STAMP)
 endif
 
-.PHONY: help demo test test-lowest test-judges test-kernel check bench fixtures reference site firmware clean
+.PHONY: help demo test test-lowest test-judges test-kernel check bench fixtures reference man site firmware clean
 
 help:
 	@echo "make demo         calibrate a virtual sensor, show what that does to a recorded log, and write its report"
@@ -28,6 +28,7 @@ help:
 	@echo "make bench        measure how fast it is, beside polars and others; benchmarks/README.md has the long ones"
 	@echo "make fixtures     make the recorded sessions and golden files of the tests anew"
 	@echo "make reference    write the generated pages of docs/reference anew"
+	@echo "make man          write a man page of each command into man/"
 	@echo "make site         build the documentation into site/, with warnings as errors"
 	@echo "make firmware     build the firmware for the ADXL202's microcontroller (firmware/build/adxl202.hex)"
 	@echo "make clean        remove all that make has made"
@@ -82,6 +83,9 @@ fixtures: $(STAMP)
 reference: $(STAMP)
 	@$(RUN) docs/reference/generate.py
 
+man: $(STAMP)
+	@$(RUN) docs/reference/man.py man
+
 site: $(STAMP)
 	@$(INSTALL) -e '.[docs]'
 	@$(VENV)/bin/sphinx-build -W --keep-going -q -c docs . site/$$($(RUN) -c 'import tiltcal; print(tiltcal.__version__)')
@@ -91,7 +95,7 @@ firmware:
 
 clean:
 	rm -rf firmware/build tests/judges/build tests/kernel/build
-	rm -rf $(VENV) build dist demo site tiltcal.egg-info .benchmarks .hypothesis .import_linter_cache .mypy_cache .pytest_cache .ruff_cache
+	rm -rf $(VENV) build dist demo man site tiltcal.egg-info .benchmarks .hypothesis .import_linter_cache .mypy_cache .pytest_cache .ruff_cache
 	find tiltcal/ drivers procedures tests fixtures benchmarks docs -name __pycache__ -prune -exec rm -rf {} +
 
 INSTALL := $(RUN) -m pip install --quiet --disable-pip-version-check -c constraints.txt

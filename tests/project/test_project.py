@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import re
+import runpy
 import shutil
 import subprocess
 import tomllib
 from pathlib import Path
 
+import click
 import pytest
 from click.testing import CliRunner
 from support import ROOT
@@ -177,6 +179,22 @@ def test_tiltcal_alone_shows_three_ways_to_begin_and_then_the_list() -> None:
     assert begun == ["probe --address serial:///dev/ttyUSB0", "probe LOG.csv", "demo demo"]
     assert shown.exit_code == 2
     assert re.findall(r"^Commands .*:$", listed, re.M) == [f"{title}:" for title in GROUPS]
+
+
+def test_every_command_has_a_man_page_with_all_its_options(tmp_path: Path) -> None:
+    runpy.run_path(str(ROOT / "docs" / "reference" / "man.py"))["main"](tmp_path)
+    assert {path.name for path in tmp_path.iterdir()} == {"tiltcal.1", *(f"tiltcal-{name}.1" for name in COMMANDS)}
+    for name, line in COMMANDS.items():
+        path = tmp_path / f"tiltcal-{name}.1"
+        text = path.read_text(encoding="utf-8")
+        assert f".SH NAME\ntiltcal-{name} \\- {line}\n" in text
+        known = group.get_command(click.Context(group), name)
+        assert known is not None
+        options = {flag for one in known.params if isinstance(one, click.Option) for flag in one.opts}
+        assert [flag for flag in options if flag.replace("-", "\\-") not in text] == []
+        if groff := shutil.which("groff"):
+            done = subprocess.run([groff, "-Kutf8", "-man", "-ww", "-Tutf8", path], capture_output=True, check=False)
+            assert (done.returncode, done.stderr) == (0, b""), name
 
 
 def test_every_command_module_is_a_command() -> None:
