@@ -195,6 +195,8 @@ class ColumnLayout:
     def _cells(self, line: bytes) -> list[tuple[str, str]]:
         """Return the cells of a line as it is printed, each with its label, empty without one."""
         whole = line.decode(errors="replace").strip()
+        if "\ufffd" in whole or not whole.replace("\t", "").isprintable():
+            return []  # noise
         text = without_clock(whole)[1].strip()
         if not text.replace("\t", " ").isprintable():
             return []
