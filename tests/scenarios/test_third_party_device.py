@@ -75,6 +75,12 @@ def test_it_is_listed_measured_and_replayed(
     assert replayed.returncode == 0, replayed.stderr
 
 
+def test_the_journals_of_the_package_give_their_files(site: Path, tmp_path: Path) -> None:
+    journals = EXAMPLE / "journals"
+    replayed = tiltcal("replay", str(journals), "--golden", str(journals), site=site, cwd=tmp_path)
+    assert replayed.returncode == 0, replayed.stdout + replayed.stderr
+
+
 def test_a_bus_of_its_own_is_opened_by_the_package(site: Path, tmp_path: Path) -> None:
     done = tiltcal("probe", "--sensor", "my-lis3dh", "--address", "package:/dev/bridge0", site=site, cwd=tmp_path)
     assert done.returncode == 3
