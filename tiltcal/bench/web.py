@@ -59,13 +59,9 @@ SOUNDS = ("sampled", "refused", "done")
 
 
 def open_web(
-    stack: ExitStack,
-    say: Callable[[str], None],
-    session: Session,
-    *,
-    listen: str | None = None,
-    hands_free: bool = False,
-) -> WebOperator:
+    stack: ExitStack, say: Callable[[str], None], session: Session, *,
+    listen: str | None = None, hands_free: bool = False,
+) -> WebOperator:  # fmt: skip
     """Return the operator of a page that is served until the end of the stack; ``say`` takes where it is."""
     state, token = PageState(), PageToken(session.files.journal)
     stack.callback(lambda: token.forget() if session.finished else None)
@@ -84,13 +80,9 @@ class WebOperator(Operator):
     watches = True
 
     def __init__(
-        self,
-        state: PageState,
-        reports: dict[str, bytes],
-        *,
-        hands_free: bool = False,
-        clock: Callable[[], float] = time.monotonic,
-    ) -> None:
+        self, state: PageState, reports: dict[str, bytes], *,
+        hands_free: bool = False, clock: Callable[[], float] = time.monotonic,
+    ) -> None:  # fmt: skip
         self._state, self._reports, self._hands_free, self._clock = state, reports, hands_free, clock
         self._asked: messages.Question | None = None
         """The question that is shown; None where it is to be shown again."""
@@ -192,23 +184,16 @@ class WebOperator(Operator):
                 fields |= {"prompt": question.prompt, "conditions": list(_conditions(question))}
             case messages.Review():
                 means = question.readings
-                fields |= {
-                    "table": self._table(means),
-                    "guide": self._guided(means),
-                    "doing": "sampled: does it count?",
-                }
-                fields |= self._sound("sampled")
+                fields |= {"table": self._table(means), "guide": self._guided(means)}
+                fields |= {"doing": "sampled: does it count?", **self._sound("sampled")}
             case messages.RotationQuestion():
                 pairs = [f"{' and '.join(pair.pair)}, orthogonal {pair.orthogonal}" for pair in question.pairs]
                 fields |= {"step": f"up to {question.turns} turns", "conditions": pairs, "prompt": question.prompt}
             case messages.StopAndKeep():
                 fields |= {"accepted": positions, "step": "stop and keep", "prompt": question.why, "doing": ""}
             case messages.WriteQuestion() | messages.AfterwardsQuestion():
-                prompt = (
-                    f"Write {', '.join(question.files)}?"
-                    if isinstance(question, messages.WriteQuestion)
-                    else question.prompt
-                )
+                written = ", ".join(question.files) if isinstance(question, messages.WriteQuestion) else ""
+                prompt = question.prompt if isinstance(question, messages.AfterwardsQuestion) else f"Write {written}?"
                 fields |= {"accepted": positions, "step": "everything is measured", "prompt": prompt, "doing": ""}
                 fields |= {"table": None, "guide": None, "remaining": None}
         self._state.show(**fields)
@@ -217,9 +202,8 @@ class WebOperator(Operator):
     def _step(self, position: str) -> str:
         """Return which position of how many it is."""
         positions = self._begin.positions
-        return (
-            f"{positions.index(position) + 1} of {len(positions)}   {position}" if position in positions else position
-        )
+        place = f"{positions.index(position) + 1} of {len(positions)}   " if position in positions else ""
+        return place + position
 
     def _show_reading(self, look: messages.Look) -> None:
         """Show readings, how far they are from the position, and why the session waits."""
@@ -350,15 +334,8 @@ class WebOperator(Operator):
 def _end(*, finished: bool) -> dict[str, object]:
     """Return what the page shows at the end: nothing that only a running session gives."""
     said = "Finished. You may close this page." if finished else "Stopped. The terminal says how to go on."
-    empty: dict[str, object] = {
-        "guide": None,
-        "table": None,
-        "live": {},
-        "samples": None,
-        "soak": None,
-        "remaining": None,
-    }
-    return {"step": "the session has ended", "prompt": said, "conditions": [], "doing": "", **empty}
+    empty = dict.fromkeys(("guide", "table", "samples", "soak", "remaining"))
+    return {"step": "the session has ended", "prompt": said, "conditions": [], "doing": "", "live": {}, **empty}
 
 
 def _conditions(question: messages.PositionQuestion) -> Iterator[str]:
