@@ -50,6 +50,7 @@ def test_what_is_used_is_said_and_stands_in_the_journal(users: Path) -> None:
     Path("tiltcal.toml").write_text("jig = nothing\n")
     assert tiltcal("replay", "calibrations/S-1.journal.jsonl", "--golden", "calibrations").returncode == 0
     assert tiltcal("check", "calibrations/S-1.yaml").returncode == 0
+    assert tiltcal("measure", "--resume", "calibrations/S-1.journal.jsonl").returncode == 0
     assert "a perfect jig" in str(library.plan("plane", sensor="sca100t-d02"))
     Path("tiltcal.toml").write_text("jig = 1\n")
     stated = tiltcal("measure", "plane", *SENSOR, "--operator", "sim", "--jig", "0.2", "-o", "other.yaml")

@@ -43,7 +43,9 @@ _whole_samples = partial(require_whole, least=2, what="samples")
 _Samples = Annotated[
     int | None, Option("Samples per position, in place of the procedure's.", "N", _POSITIONS, check=_whole_samples)
 ]
-_Defaults = Annotated[Defaults | None, Option("What a tiltcal.toml states; the command passes it.")]
+_Defaults = Annotated[
+    Callable[[], Defaults] | None, Option("Gives what a tiltcal.toml states, to a new session; the command passes it.")
+]
 _Lean = Annotated[float | None, _u("the lean of the table that all positions share")]
 
 

@@ -27,4 +27,4 @@ def command(procedure: str | None, **settings: Any) -> None:
     """
     from tiltcal.library.measure import measure
 
-    measure(procedure, remark=remark, result=click.echo, defaults=defaults_here(), **settings)
+    measure(procedure, remark=remark, result=click.echo, defaults=defaults_here, **settings)

@@ -21,5 +21,5 @@ def command(procedure: str, as_json: bool, **design: Any) -> None:
 
     A procedure that cannot determine its coefficients is refused (exit code 2), with the position to add.
     """
-    found = plan(procedure, defaults=defaults_here(), **design)
+    found = plan(procedure, defaults=defaults_here, **design)
     click.echo(options.json_text(found.as_data()) if as_json else str(found))

@@ -115,7 +115,7 @@ def plan(procedure: str | Path, **options: Unpack[PlanOptions]) -> Plan:
     if known is not None:
         known = known.with_stated(jig=jig, table_lean=stated["table_lean"])
         jig, stated["table_lean"] = known.jig, known.table_lean
-    jig = (stated["defaults"] or Defaults()).instead("jig", jig)
+    jig = (stated["defaults"] or Defaults)().instead("jig", jig)
     bench = BenchUncertainty(jig, stated["thermometer"], stated["table_lean"])
     bench = uncertainty_with(None if known is None else reference_of(known), bench)
     return predict(steps, model, bench, noise=noise, samples=samples, base=own)
@@ -225,7 +225,7 @@ def resumed(
 def _begun(procedure: str | Path | None, given: MeasureOptions) -> Session:
     """Return a new session, and remark how well it will determine the coefficients."""
     base, remark, named = given["base"], given["remark"], cast("BenchFile | str | Path | None", given["bench"])
-    defaults = given["defaults"] or Defaults()
+    defaults = (given["defaults"] or Defaults)()
     one = _one_sensor(procedure, given, "folder" in defaults.values)
     steps = find_procedure(str(procedure), given["tilt"])
     steps = steps.with_turns(given["turns"]).with_alignment(given["alignment"])
