@@ -7,6 +7,7 @@ import shutil
 import subprocess
 from math import cos, radians, sin
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -119,12 +120,17 @@ def test_the_bench_the_replay_and_a_header_agree(tmp_path: Path) -> None:
     assert run("replay", "a.journal.jsonl", "--golden", "a.yaml", cwd=tmp_path).returncode == 0
     assert run("check", "a.yaml", cwd=tmp_path).stdout == "a.yaml: calibration, good\n"
     assert run("export", "a.yaml", "--to", "c", "-o", "tilt.h", cwd=tmp_path).returncode == 0
-    refused = run("export", "a.yaml", "--to", "json", cwd=tmp_path)
+    refused = run("export", "a.yaml", "--to", "iio", cwd=tmp_path)
     assert (refused.returncode, "takes components of gravity" in refused.stderr) == (2, True)
     rows = [(10.0, 5.0), (-200.0, 250.0), (400.0, -100.0)]
     (tmp_path / "log.csv").write_text("x,y\n" + "".join(f"{x},{y}\n" for x, y in rows), encoding="utf-8")
     assert run("apply", "a.yaml", "log.csv", "-o", "tilt.csv", cwd=tmp_path).returncode == 0
     applied = [line.split(",")[4:6] for line in (tmp_path / "tilt.csv").read_text().splitlines()[1:]]
+    module: dict[str, Any] = {}
+    exec(run("export", "a.yaml", "--to", "python", cwd=tmp_path).stdout, module)
+    for row, expected in zip(rows, applied, strict=True):
+        assert module["degrees"](row) == pytest.approx([*map(float, expected)], abs=1e-9)
+    assert json.loads(run("export", "a.yaml", "--to", "json", cwd=tmp_path).stdout)["reads"] == "angle"
     if shutil.which("cc") is None:
         pytest.skip("there is no compiler: cc is not installed")
     (tmp_path / "main.c").write_text(

@@ -20,6 +20,8 @@ from tiltcal.export.c_integers import Integers
 from tiltcal.export.loss import Formula, calibrated_range, largest_error
 from tiltcal.export.python_module import FORMULA, module, numbers
 from tiltcal.files.calibration import CalibrationRecord
+from tiltcal.files.coefficients import coefficients_section
+from tiltcal.files.record import plain
 
 STANDARD_GRAVITY = 9.80665
 """m/s²."""
@@ -112,10 +114,10 @@ def exported(source: Source, target: str) -> Exported:
             "the mounting is on edge, where two channels leave the sign of the third open: only apply says which rows "
             "have one; export the calibration without its mounting"
         )
-    if source.coefficients.angles is not None and target != "c":
+    if source.coefficients.angles is not None and target not in ("c", "python", "json"):
         sensor = source.record.sensor
         why = f"{sensor.serial} prints {sensor.unit}, and {target} takes components of gravity"
-        raise UsageError(f"{why}: export to c")
+        raise UsageError(f"{why}: export to c, python or json")
     export = TARGETS[target](source)
     bound = largest_error(source.coefficients, source.limits, export.formula, export.rounding, export.step)
     left_out = tuple(term for term in terms(source.coefficients) if term not in export.holds)
@@ -229,8 +231,14 @@ def _python(source: Source) -> Export:
 def _json(source: Source) -> Export:
     about = {"A": source.affine.matrix.tolist(), "b": source.affine.offset.tolist(), "unit": source.record.sensor.unit}
 
+    if source.record.sensor.reads is not None:
+        about["reads"] = source.record.sensor.reads
+    thermal = coefficients_section(source.coefficients).temperature
+    of = {"offset": plain(thermal.offset), "sensitivity": plain(thermal.sensitivity)} if thermal is not None else {}
+    drift = {"drift": of, "reference": None if thermal is None else thermal.reference}
+
     def text(bound: float) -> str:
-        data = {**about, "bound": bound, "formula": FORMULA, **numbers(source.coefficients)}
+        data = {**about, "bound": bound, "formula": FORMULA, **numbers(source.coefficients), **drift}
         return json.dumps(data, indent=1) + "\n"
 
     return _whole(source, text)
