@@ -7,6 +7,7 @@ msgspec does not: numbers such as ``.5`` or ``0x1d``, keys by their former names
 
 from __future__ import annotations
 
+import os
 import re
 import sys
 from collections.abc import Collection, Iterator, Mapping
@@ -163,11 +164,12 @@ def read_document(path: str | Path) -> Document:
     """Read one YAML document from a file; an InputError where it cannot be read, or uses what is refused here."""
     require_path("a file", path)  # a number would be an open file, which is closed behind it
     why = ""
-    with suppress(OSError), open(path, "rb") as stream:
-        if stream.read(len(_JOURNAL)) == _JOURNAL:
-            why = "this is the journal of a session: tiltcal replay makes its calibration, measure --resume goes on"
-        elif Path(path).suffix.lower() in _LOGS:
-            why = "this is a log: tiltcal apply converts it, tiltcal fit calibrates from it"
+    if os.path.isfile(path):  # a pipe is read once
+        with suppress(OSError), open(path, "rb") as stream:
+            if stream.read(len(_JOURNAL)) == _JOURNAL:
+                why = "this is the journal of a session: tiltcal replay makes its calibration, measure --resume goes on"
+            elif Path(path).suffix.lower() in _LOGS:
+                why = "this is a log: tiltcal apply converts it, tiltcal fit calibrates from it"
     if why:
         raise InputError(why, file=str(path))
     return parse_document(read_text(path), file=str(path))
