@@ -75,7 +75,7 @@ class Address:
         """Return the text of an option, which without a default is required."""
         value = self.options.get(name, default)
         if value is None:
-            self.refuse(f"option {name!r} is missing (add {name}=...)")
+            self.refuse(f"option {name!r} is missing (add {'&' if self.options else '?'}{name}=...)")
         if name in self.options and not value:
             self.refuse(f"option {name!r} is empty")
         return value

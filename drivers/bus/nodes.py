@@ -41,6 +41,8 @@ class Node(NamedTuple):
     def missing(self, place: str) -> str:
         """Return the message for a node that does not exist, with those of its kind that do."""
         present = ", ".join(sorted(str(path) for pattern in self.patterns for path in Path("/dev").glob(pattern)))
+        if present and self.subsystem == "tty":
+            present += "; plugged in again while its port was open, a board has another name: plug it in once more"
         return f"{place} does not exist ({f'present: {present}' if present else self.absent})"
 
     def no_permission(self, place: str) -> str:

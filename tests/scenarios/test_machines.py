@@ -291,7 +291,7 @@ def test_a_position_beyond_the_limits_is_refused_before_anything_is_opened(tmp_p
     (tmp_path / "bench.yaml").write_text(bench.replace("x: [-95, 95]", "x: [-31, 95]"))
     refused = tiltcal("measure", "plane", *QUICK, cwd=tmp_path)
     assert refused.returncode == 2
-    assert "x-tilt2 takes x of the table to -32, and its limits are -31 and 95" in refused.stderr
+    assert "x-tilt2 takes x of the table to -32, and its limits are -31 and 95: name a procedure" in refused.stderr
     assert not list(tmp_path.glob("*.jsonl"))
 
 

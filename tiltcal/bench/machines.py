@@ -78,7 +78,8 @@ def require_reachable(machines: Mapping[str, Machine], positions: Sequence[Posit
                 for back in (0.0, machine.approach):
                     if not low <= (angle := targets.get(axis, low + back) - back) <= high:
                         way = f"{position.name} takes {axis} of the {name} to {angle:g}"
-                        raise UsageError(f"{way}, and its limits are {low:g} and {high:g}")
+                        advice = "name a procedure that stays within them, such as plane"
+                        raise UsageError(f"{way}, and its limits are {low:g} and {high:g}", advice=advice)
 
 
 def carrier_of(machines: Iterable[Machine]) -> str:

@@ -160,6 +160,10 @@ def measure(procedure: str | Path | None = None, **options: Unpack[MeasureOption
     if given["dry_run"]:
         from tiltcal.bench.dry_run import dry_run
 
+        if given["bench"] is None:
+            raise UsageError(
+                option="dry_run", why="moves the machines of a bench file", advice=("state ", Argument("bench"))
+            )
         dry_run(_begun(procedure, given).setup, result or remark)
         return None
     if resume is not None and os.path.exists(resume):

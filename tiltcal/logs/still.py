@@ -252,7 +252,7 @@ def _too_few(tried: Sequence[StaticDetection], columns: Sequence[Array], lost: i
     """Return why no choice will do, and what to add; ``lost`` rows are missing, or stuck at one value."""
     absent = min((choice.fit.absent for choice in tried if isinstance(choice.fit, PositionFit)), key=len, default=None)
     most = max(tried, key=lambda choice: len(choice.intervals), default=None)
-    longer = "Hold the sensor still for longer in each"
+    longer = "Hold the sensor still in more attitudes, and for longer in each"
     if absent is not None:
         found = f"the sensor still in every position: {', '.join(absent) or 'a further one'} is missing"
     else:

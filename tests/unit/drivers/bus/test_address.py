@@ -45,7 +45,7 @@ WRONG_INTEGERS = {
     "speed=": "option 'speed' is empty",
     "speed=0": "option speed=0 is too small (at least 1)",
     "speed=11": "option speed=11 is too large (at most 10)",
-    "other=1": "option 'speed' is missing (add speed=...)",
+    "other=1": "option 'speed' is missing (add &speed=...)",
 }
 
 
