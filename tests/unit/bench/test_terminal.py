@@ -188,6 +188,14 @@ def test_six_sensors_are_shown_in_80_columns_below_their_targets() -> None:
     assert second.endswith("sample 3 of 20")
 
 
+def test_a_loose_wire_jumps_in_the_traces_of_one_sensor() -> None:
+    operator = terminal(shown := io.StringIO(), ENTER, width=80, live=True)
+    for x in (0.0, 0.0, 0.5, 0.0, 0.0, 0.0):
+        one = SensorGuidance({}, {}, up=(x, 0.0, 1.0))
+        operator.tell(Look("level", "", {"S-1": ShownReading({"x": 0.0, "y": 0.0}, None, one)}))
+    assert shown.getvalue().endswith("live, angles are not calibrated yet  x ▄▄█▄▄▄  y ▄▄▄▄▄▄  z ▄▄▄▄▄▄")
+
+
 def test_the_keys_are_explained_and_the_time_that_remains_is_said() -> None:
     operator = terminal(shown := io.StringIO(), "?\n", positions=["first", "level"], accepted=["first"])
     operator.tell(Progress("level", ["first"], "about 1 h 11 min left"))

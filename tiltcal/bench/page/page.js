@@ -15,6 +15,8 @@ const AGAIN = ["position", "review", "write", "stop"];  // questions at which an
 const UNTOUCHED = 250;                             // ms in which a new question takes no key: it was meant for the one before
 const SILENT = 5000;                               // ms without a sign after which the connection is lost
 const SURE = 4000;                                 // ms in which a stop is pressed a second time
+const TRACED = 10000;                              // ms of the traces beside the bar of stillness
+const STEADY = 0.02;                               // g that fill a trace at least (1°): the noise of a still sensor is small in it
 
 let state = null, asked = "", since = 0, heard = 0, sending = false, stopping = 0, pressed = "", stream = null;
 
@@ -259,6 +261,7 @@ function showGuide(guide) {
   drawBox($("#now svg"), mean);
   $("#now").classList.toggle("none", !mean);
   bar($("#still .bar"), guide.still, guide.still >= 1);
+  drawTrace(mean);
   if (!guide.target) return;
   drawBox($("#set svg"), guide.target);
   if (!guide.worst) return $("#each").replaceChildren();
@@ -273,6 +276,19 @@ function showGuide(guide) {
   const away = guide.sides.map((side, i) => [side, shown.reduce((sum, {sides}) => sum + sides[i], 0) / shown.length]);
   $("#advice").textContent = guide.note || guide.fits ? guide.note : away.filter(([, by]) => Math.abs(by) > guide.worst.tolerance / 4)
     .map(([side, by]) => `${by > 0 ? "lower" : "raise"} ${side} by ${Math.abs(by).toFixed(Math.abs(by) > 10 ? 0 : 1)}°`).join(", ");
+}
+
+// The last seconds of the direction that points up, in which a loose wire jumps; each trace about its own mean.
+let trace = [];
+
+function drawTrace(up, now = performance.now()) {
+  trace = [...trace, [now, up]].filter(([at]) => now - at < TRACED);
+  const ups = trace.map(([, up]) => up).filter(Boolean);
+  const means = [0, 1, 2].map((i) => ups.reduce((sum, up) => sum + up[i], 0) / ups.length);
+  const most = Math.max(STEADY, ...ups.flatMap((up) => up.map((one, i) => Math.abs(one - means[i]))));
+  const path = (i) => trace.map(([at, up], n) => !up ? "" :
+    `${n && trace[n - 1][1] ? "L" : "M"}${(100 - 100 * (now - at) / TRACED).toFixed(1)},${(4 + 8 * i - 3.5 * (up[i] - means[i]) / most).toFixed(2)}`);
+  document.querySelectorAll("#trace path").forEach((drawn, i) => drawn.setAttribute("d", path(i).join("")));
 }
 
 function showOff(guide, next) {
