@@ -216,6 +216,14 @@ class TestRefusals:
                 result = match(path, *PAIR, "--phase", "theta", *how, "-o", tmp_path / "p.yaml")
                 assert said in refused(result, EstimateError)
                 assert not (tmp_path / "p.yaml").exists()
+        # Eight rows of ten turns: four unknowns are solved from more than twice as many.
+        few = disk.record(seconds=80, rate=20).rows(slice(0, None, 210)).write(tmp_path / "few.csv")
+        assert "8 rows do not determine" in refused(match(few, *PAIR, "--phase", "theta"), EstimateError)
+        # The loops have an answer once p and then q have been trimmed for some turns, of eight seconds each.
+        early, later = (disk.record(seconds=s, rate=20).write(tmp_path / f"{s}.csv") for s in (40, 56))
+        loops = (*PAIR, "--phase", "theta", "--online", "--loops", "--json")
+        assert "the loops have not settled in 4 turns" in refused(match(early, *loops), EstimateError)
+        assert as_json(match(later, *loops))["q"] == pytest.approx(disk.truth()[1], abs=1e-3)
 
     def test_a_channel_that_is_missing(self, tmp_path: Path) -> None:
         path = small(tmp_path)

@@ -74,6 +74,10 @@ def test_the_whole_way_with_results_report_and_verification(tmp_path: Path) -> N
         assert page.answer(page.asked("write"), "yes") == 204
         live = page.until(lambda one: one["live"])["live"]["S-1"]
         assert [name for name, _, _ in live][:2] == ["tilt x", "tilt y"]
+        (tmp_path / "S-1.html").mkdir()  # a report that cannot be written is told, and asked for again
+        assert page.answer(page.asked("afterwards"), "report") == 204
+        assert "not finished: " in page.until(lambda one: one["refused"])["refused"]
+        (tmp_path / "S-1.html").rmdir()
         assert page.answer(page.asked("afterwards"), "report") == 204
         page.until(lambda one: one["results"] and one["results"][0].get("report"))
         assert page.request("GET", "/report/S-1")[2] == (tmp_path / "S-1.html").read_bytes()

@@ -50,6 +50,9 @@ def test_what_is_written_goes_to_the_disk_piece_by_piece(tmp_path: Path, monkeyp
     assert all(before[1] == after[0] for before, after in pairwise(advised))
     assert all(end - start >= 100 for start, end in advised)
     assert 315 - advised[-1][1] < 100
+    monkeypatch.delattr(os, "posix_fadvise")  # as on macOS
+    with open(tmp_path / "result", "rb") as sink:
+        assert list(with_writeback(sink, range(3))) == [0, 1, 2]
 
 
 def test_ctrl_c_that_does_not_reach_the_wait_ends_it(tmp_path: Path) -> None:
