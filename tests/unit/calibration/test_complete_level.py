@@ -128,6 +128,9 @@ def test_the_change_is_told_and_judged() -> None:
     assert record.fit.level.verdict.startswith("changed: offset.x by more")
     assert "(+1.7" in level_summary(record)
     assert levelled(COMPLETE, offset).fit.level.verdict.startswith("unchanged")
+    # 1.96 times 2°/√3 sin 30°, as how-to/mounting.md shows it.
+    assert "up to 2° askew" in (told := level_summary(levelled(COMPLETE, offset, alignment=2.0)))
+    assert "±1.2° (95 %) where the other axis" in told
     unsaid = levelled(COMPLETE, offset + 25.0, jig=None)
     assert unsaid.fit.level.verdict.startswith("no verdict")
     assert NO_LEVEL in unsaid.fit.notes

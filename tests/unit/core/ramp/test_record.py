@@ -25,7 +25,7 @@ def test_what_a_ds18b20_reads_that_fails_is_left_out_and_named():
     with pytest.raises(EstimateError, match=r"of 2400 .* the first in row 0, 85 °C beside 5.1 °C"):
         ramp_record(SECONDS, temperature, [temperature])
     short = np.where(np.isin(np.arange(39), (10, 20)), 85.0, 5.0)  # two are more than one, and than 5 % of so few
-    with pytest.raises(EstimateError, match="of 39 .*2, the first in row 10"):
+    with pytest.raises(EstimateError, match=r"of 39 .*2, the first in row 10"):
         ramp_record(SECONDS[:39], short, [short])
 
 

@@ -283,6 +283,16 @@ def test_sound_rows_take_the_short_way(data: bytes, monkeypatch: pytest.MonkeyPa
     np.testing.assert_array_equal(found.values[2], expected)
     assert [text or "" for text in found.texts[1].to_list()] == [row[1] for row in cells_of(data.decode())]
     assert found.lines.to_list() == data.decode().replace("\r", "").split("\n")[:-1]
+    for end in ("", " mg"):
+        rows = f"x: 1.5 y: 2.5{end}\nx: 1.6 y: 2.6{end}\n"
+        assert table(rows.encode()) == [(1.5, 2.5), (1.6, 2.6)]
+    assert log(b'{"a,x": 1.5, "y": 2}\n{"a,x": 2.5, "y": 3}\n').header == b'"a,x",y'
+
+
+def test_lines_of_another_kind_are_left_out_where_they_come_again() -> None:
+    row, other = b"x: 1.5 y: 2.5\n", b"error: 5 of 7\n"
+    assert len(table(3 * row + 2 * other + 9 * row)) == 12
+    assert "night.csv:4: the row has 1 field" in complaint(3 * row + other + 9 * row)
 
 
 def table(content: bytes, block: int = 1 << 20, skip_bad_rows: bool = False) -> list[tuple[float, ...]]:
