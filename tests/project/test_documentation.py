@@ -150,6 +150,7 @@ def test_the_examples_of_docstrings_run(tmp_path: Path, monkeypatch: pytest.Monk
     monkeypatch.chdir(tmp_path)
     for name in ("S-0042.yaml", "spring.yaml", "autumn.yaml"):
         shutil.copy(ROOT / "fixtures" / "complete.yaml", name)
+    shutil.copy(ROOT / "fixtures" / "complete.journal.jsonl", "S-0042.journal.jsonl")
     turn = np.linspace(0.0, 12.0, 1200, endpoint=False)
     disk = {name: np.sin(2.0 * np.pi * (turn + at)) for name, at in (("a1", 0.0), ("a2", 0.5), ("a4", 0.75))}
     polars.DataFrame({"theta": 360.0 * (turn % 1.0), **disk}).write_csv("disk.csv")
