@@ -85,13 +85,23 @@ def test_with_a_stated_placement_error_imucals_offsets_are_inside_our_intervals(
 
 def test_numbers_of_few_digits_and_a_log_without_gravity_are_called_so(tmp_path: Path) -> None:
     """Whole numbers of g say nothing better than some ten degrees; a phone may take gravity out."""
-    faces = "position,x,y,z\nx-up,1,0,0\nx-down,-1,0,0\ny-up,0,1,0\ny-down,0,-1,0\nz-up,0,0,1\nz-down,0,0,-1\n"
+    rows = {
+        "x-up": "1,0,0",
+        "x-down": "-1,0,0",
+        "y-up": "0,1,0",
+        "y-down": "0,-1,0",
+        "z-up": "0,0,1",
+        "z-down": "0,0,-1",
+    }
+    faces = "position,x,y,z,n\n" + "".join(f"{name},{means},50\n" for name, means in rows.items())
     (tmp_path / "faces.csv").write_text(faces, encoding="utf-8")
     for unit, code in (("g", 0), ("count", 2)):
         options = ("--table", "--unit", unit, "--serial", "S-1", "-o", f"{unit}.yaml")
         done = tiltcal("fit", "six-face", "faces.csv", *options, cwd=tmp_path)
         assert (done.returncode, "wired" in done.stderr) == (code, False), done.stderr
         assert f"the numbers of x have a step of 1 {unit}" in done.stdout + done.stderr
+    single = read_calibration(tmp_path / "g.yaml").uncertainty.single_reading
+    assert single == pytest.approx(dict.fromkeys("xyz", 1.0 / np.sqrt(12.0)), abs=1e-4)  # rounding is all there is
     rows = np.random.default_rng(1).normal(0.1, 0.05, (400, 3))
     np.savetxt(tmp_path / "phone.csv", rows, delimiter=",", header="x,y,z", comments="", fmt="%.4f")
     options = ("--unit", "m/s2", "--serial", "P-1", "-o", "p.yaml")
