@@ -515,7 +515,9 @@ def _table_of(lines: Sequence[str], later: Sequence[int], comments: tuple[str, .
     if named is None and fields > 1 and cells in ([str(k + one) for k in range(len(cells))] for one in (0, 1)):
         named, names, start = start, best.cells[start], start + 1  # as programs number columns that nobody named
     elif named is not None:
-        start = next((row for row in range(named + 1, start) if {*best.kinds[row]} & {"number", "time"}), start)
+        nothing = ("missing",) * fields  # a row without a value is a row
+        behind = (row for row in range(named + 1, start) if lines[row].strip())
+        start = next((r for r in behind if {*best.kinds[r]} & {"number", "time"} or best.kinds[r] == nothing), start)
     numbered = tuple(str(place) for place in range(1, fields + 1))
     blanks = best.separator == " " and (fields > 1 or len(names) > 1)
     return Dialect(

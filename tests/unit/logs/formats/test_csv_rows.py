@@ -391,3 +391,8 @@ def test_a_unit_may_stand_in_the_header() -> None:
         assert log.unit(1) == unit, name
         bare = name if unit is None else name.rpartition(" ")[0]
         assert locate_columns(log, ("x",), {"x": bare}) == locate_columns(log, ("x",), {"x": name}) == {"x": 1}
+
+
+def test_rows_without_a_value_below_the_names_are_rows() -> None:
+    assert same(column(b"x,y\n,\n,\n1,2\n"), [nan, nan, 1.0])
+    assert same(column(b"x,y\nV,V\n,\n1,2\n"), [nan, 1.0])
