@@ -85,15 +85,8 @@ def test_with_a_stated_placement_error_imucals_offsets_are_inside_our_intervals(
 
 def test_numbers_of_few_digits_and_a_log_without_gravity_are_called_so(tmp_path: Path) -> None:
     """Whole numbers of g say nothing better than some ten degrees; a phone may take gravity out."""
-    rows = {
-        "x-up": "1,0,0",
-        "x-down": "-1,0,0",
-        "y-up": "0,1,0",
-        "y-down": "0,-1,0",
-        "z-up": "0,0,1",
-        "z-down": "0,0,-1",
-    }
-    faces = "position,x,y,z,n\n" + "".join(f"{name},{means},50\n" for name, means in rows.items())
+    faces = "x-up,1,0,0,50\nx-down,-1,0,0,50\ny-up,0,1,0,50\ny-down,0,-1,0,50\nz-up,0,0,1,50\nz-down,0,0,-1,50\n"
+    faces = f"position,x,y,z,n\n{faces}"
     (tmp_path / "faces.csv").write_text(faces, encoding="utf-8")
     for unit, code in (("g", 0), ("count", 2)):
         options = ("--table", "--unit", unit, "--serial", "S-1", "-o", f"{unit}.yaml")
