@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.signal import lfilter
 from scipy.stats import linregress
 
-from tiltcal.core.samples import ReadingStep, drift, even_step, noise_under_rounding, summarise
+from tiltcal.core.samples import ReadingStep, correlated_noise, drift, even_step, noise_under_rounding, summarise
 
 
 @given(st.lists(st.floats(-1e6, 1e6), min_size=2, max_size=50))
@@ -35,6 +36,10 @@ def test_correlated_noise_does_not() -> None:
     naive = np.mean([run.std for run in runs]) / sqrt(400)
     assert naive < 0.4 * scatter
     assert 0.7 * scatter < claimed < 1.3 * scatter
+    slow = [summarise(run.tolist()) for run in lfilter([1.0], [1.0, -0.99], rng.normal(size=(20, 400)))]
+    shown = correlated_noise(slow)  # its memory is 100 samples, and a block has 40
+    assert shown is not None
+    assert "sample each position at least" in shown.note
 
 
 def test_the_uncertainty_is_that_of_ten_block_means() -> None:

@@ -133,7 +133,7 @@ def test_another_part_after_the_bus_was_opened_again_is_refused(monkeypatch: pyt
         raise BusError("the adapter was pulled out")
 
     clock = VirtualClock()
-    with connected([device], None, Recorder(clock), VirtualBench(clock, [device])) as bench:
+    with connected([device], {}, Recorder(clock), VirtualBench(clock, [device])) as bench:
         for pulled in (None, parts[0], None, parts[1], None, None):
             if pulled is not None:
                 pulled.line.change = pulled_out
