@@ -90,6 +90,8 @@ class TestMatch:
         for text in ("a1", "sum after p", "frequency [Hz]", "p, loops", "q, recursive", "stated uncertainty", "turns"):
             assert text in drawn
         assert "10⁻²" in drawn
+        # Of the spectra alone: the course begins at zero, p and q away from its end.
+        assert (max(map(abs, disk.truth())) < 0.1, drawn.count("10⁻¹")) == (True, 2)
         assert "$" not in drawn
 
     def test_a_stop_of_the_stage_is_told_and_survived_online(self, tmp_path: Path) -> None:
