@@ -11,10 +11,14 @@ from math import acos, degrees, hypot
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 from support.command import tiltcal
 from support.recordings import recording
 
+from tiltcal.core.model import values
 from tiltcal.files.calibration import CalibrationRecord, read_calibration
 from tiltcal.files.results import PositionRecord
 
@@ -156,6 +160,65 @@ class TestTable:
         assert fit.calibration.fit.degrees_of_freedom == 0
         assert "zero degrees of freedom" in fit.calibration.fit.warning
         assert "warning: 9 different attitudes for 9 unknowns" in fit.said
+
+
+class TestWarm:
+    """Sensors that drift by about 1 mg/°C while they are held in attitudes, from 12.5 to 27.5 °C; readings in mg."""
+
+    SENSITIVITY = np.array([[1010.0, 8.0, -5.0], [0.0, 985.0, 12.0], [0.0, 0.0, 1002.0]])
+    OFFSET, DRIFT = np.array([25.0, -40.0, 15.0]), np.array([1.0, -0.8, 0.6])  # at 20 °C
+    LEVEL = np.array([0.0, 0.0, 1.0])
+
+    def write(self, file: Path, up: NDArray[np.float64], warmth: NDArray[np.float64]) -> None:
+        drawn = np.random.default_rng(len(up)).normal(0.0, 0.5, up.shape)
+        read = self.OFFSET + up @ self.SENSITIVITY.T + (warmth - 20.0)[:, None] * self.DRIFT + drawn
+        table = np.column_stack([2.0 * np.arange(len(up)), read, warmth])
+        np.savetxt(file, table, "%.3f", ",", header="time,x,y,z,temperature", comments="")
+
+    def held(self, file: Path, attitudes: int) -> None:
+        rng = np.random.default_rng(attitudes)
+        each = Rotation.random(attitudes, random_state=4).as_matrix()[:, :, 2]
+        moving = [np.vstack([rng.normal(0.0, 0.5, (10, 3)), np.tile(one, (60, 1))]) for one in each]
+        self.write(file, np.vstack(moving), np.linspace(12.5, 27.5, 70 * attitudes))
+
+    @pytest.mark.parametrize("attitudes", [16, 40])
+    def test_the_drift_is_determined_and_a_ramp_joins_it(self, attitudes: int, tmp_path: Path) -> None:
+        self.held(tmp_path / "held.csv", attitudes)
+        free = fitted(tmp_path, tmp_path / "held.csv", "--unit", "mg").calibration
+        self.require_true(free)
+        warmth = 20.0 - 7.5 * np.cos(np.linspace(0.0, 2.0 * np.pi, 1800))
+        self.write(tmp_path / "ramp.csv", np.tile(self.LEVEL, (1800, 1)), warmth)
+        for words in (
+            ("fit", "ramp", "ramp.csv", "--base", "cal.yaml", "--serial", "S-1", "-o", "ramp.yaml"),
+            ("combine", "cal.yaml", "ramp.yaml", "-o", "both.yaml"),
+        ):
+            assert (result := tiltcal(*words, cwd=tmp_path)).returncode == 0, result.stderr
+        both = read_calibration(tmp_path / "both.yaml")
+        self.require_true(both)
+        names = [f"temperature.offset.{axis}.1" for axis in "xyz"]
+        assert all(both.uncertainty[name] < free.uncertainty[name] for name in names)
+
+    def require_true(self, found: CalibrationRecord) -> None:
+        thermal, at = found.coefficients.thermal, found.coefficients.thermal.reference
+        for k, axis in enumerate("xyz"):
+            truth = {f"offset.{axis}": self.OFFSET[k] + self.DRIFT[k] * (at - 20.0)}
+            truth |= {f"sensitivity.{axis}.{'xyz'[j]}": self.SENSITIVITY[k, j] for j in range(k, 3)}
+            truth |= {f"temperature.offset.{axis}.1": self.DRIFT[k]}
+            for name, value in truth.items():
+                limit = (
+                    1.5 * found.uncertainty[name] * found.uncertainty.coverage_factor[name]
+                )  # of twenty, one is beyond 1
+                assert abs(values(found.coefficients)[name] - value) < limit, name
+        for warmth in (12.5, 27.5):
+            read = self.OFFSET + self.SENSITIVITY @ self.LEVEL + self.DRIFT * (warmth - 20.0)
+            drift = thermal.drift @ (warmth - at) ** np.arange(1, 1 + thermal.drift.shape[1])
+            found_up = np.linalg.solve(found.coefficients.sensitivity, read - found.coefficients.offset - drift)
+            assert found_up == pytest.approx(self.LEVEL, abs=1e-3)
+
+    def test_eleven_attitudes_are_too_few(self, tmp_path: Path) -> None:
+        self.held(tmp_path / "log.csv", 11)
+        said = refused(tmp_path, "free", "log.csv", "--unit", "mg")
+        assert "11 free positions for 12 unknowns, three of them drifts because the temperature changes" in said
 
 
 def refused(folder: Path, procedure: str, log: str, *options: str) -> str:

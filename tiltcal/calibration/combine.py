@@ -20,12 +20,14 @@ from tiltcal.calibration import stated
 from tiltcal.calibration.comparison import compare_records, require_same_sensor, temperature_of
 from tiltcal.calibration.record import mounting_in_words, stated_mounting, with_mounting
 from tiltcal.core.directions import common, tilts
+from tiltcal.core.estimation.equations import BASE
 from tiltcal.core.estimation.estimate import NO_FREEDOM, Estimate, estimate, with_hysteresis
 from tiltcal.core.estimation.positions import Design, Observation, Prior, SensorObservations, StatedCoefficients
+from tiltcal.core.estimation.solve import undetermined
 from tiltcal.core.model import AXES, Array, Coefficients, Limits, overlap, referred, values, vector_of
 from tiltcal.core.rounding import plus_minus
 from tiltcal.core.samples import BLOCKS, pooled
-from tiltcal.core.uncertain import ALIGNMENT, NORMAL_FACTOR, READING, TURN, selection
+from tiltcal.core.uncertain import ALIGNMENT, NORMAL_FACTOR, READING, TURN, Uncertain, selection
 from tiltcal.errors import Argument, EstimateError, Parts, UsageError
 from tiltcal.files.calibration import UNKNOWN_MODEL, CalibrationRecord, dump_calibration, tilt_record
 from tiltcal.files.coefficients import Uncertainty
@@ -134,8 +136,10 @@ class CombinedSession:
         except EstimateError as failure:
             raise EstimateError((f"{self.label}: ", *failure.words)) from failure
         at, thermal, axes = temperature_of(self.record), self.coefficients.thermal, self.coefficients.axes
+        fit = self.record.fit
+        straight = int(fit.distinct_attitudes is not None and thermal is not None)  # by free positions
         for what in ("drift", "gain") if thermal is not None else ():
-            if (order := getattr(thermal, what).shape[1]) not in (0, getattr(design, what)):
+            if (order := getattr(thermal, what).shape[1]) not in (0, getattr(design, what), straight):
                 raise UsageError(
                     f"the {what} of {self.label} has order {order} and that of another calibration "
                     f"{getattr(design, what)}; combine one of them"
@@ -152,15 +156,22 @@ class CombinedSession:
         directions = [setting.up for setting in self.record.procedure.set.values() if setting.up]
         same = bool(directions) and np.allclose(directions, directions[0], atol=1e-6) and self.assumes("sensitivity")
         met = [one.temperature for one in self.positions if one.temperature is not None] or [0.0]
-        fit = self.record.fit
         u_at = hypot(float(np.std(met)), fit.thermometer_celsius or fit.thermometer_estimated_celsius or 0.0)
+
+        def line(order: int) -> Array:
+            """Slope and level of the line that fits a power best at the temperatures met, as free positions see it."""
+            return np.polyfit(np.array(met) - (at or 0.0), (np.array(met) - design.reference) ** order, 1)
+
         for k, name in enumerate(own.names):
             kind, _, channel = name.partition(".")
             if kind == "offset" and at is not None:
                 for order in range(1, design.drift + 1):
-                    rows[k, place(f"temperature.offset.{channel}.{order}")] = (at - design.reference) ** order
+                    level = line(order)[1] if straight else (at - design.reference) ** order
+                    rows[k, place(f"temperature.offset.{channel}.{order}")] = level
                 if thermal is None:
                     covariance[k, k] += (slope[design.channels.index(channel)] * u_at) ** 2
+            for order in range(2, design.drift + 1) if straight and kind == "temperature" else ():
+                rows[k, place(f"{name.removesuffix('1')}{order}")] = line(order)[0]
             for axis in set(design.axes) - set(axes) if kind == "offset" and same else ():
                 # A column that it lacks is in its offset.
                 rows[k, place(f"sensitivity.{channel}.{axis}")] = directions[0][AXES.index(axis)]
@@ -189,10 +200,13 @@ def combine_records(
     if warm:
         sessions = [replace(s, by_values=any(one.temperature is None for one in s.positions)) for s in sessions]
     design = _design(sessions)
-    seen = _observations(sessions, design)
-    _require_agreement(sessions, design, seen)
-    together = [one for group in seen for one in group]
-    found = with_hysteresis(estimate(together, design), SensorObservations(design, together))
+    if any(session.observed for session in sessions):
+        seen = _observations(sessions, design)
+        _require_agreement(sessions, design, seen)
+        together = [one for group in seen for one in group]
+        found = with_hysteresis(estimate(together, design), SensorObservations(design, together))
+    else:
+        found = _of_values(sessions, design)
     thermal, met = found.coefficients.thermal, [one.range for one in warm.values() if one.range is not None]
     if thermal is not None:
         thermal = replace(thermal, lag=max(one.lag for one in warm.values()), range=_union(met))
@@ -255,7 +269,7 @@ def _design(sessions: Sequence[CombinedSession]) -> Design:
     warm = [s for s in warm if not s.assumes("temperature")] or warm[:1]
     thermals = [s.coefficients.thermal for s in warm if s.coefficients.thermal is not None]
     fits = [s.record.fit for s in sessions if s.observed]
-    if not fits:
+    if not fits and not any(s.record.fit.distinct_attitudes for s in sessions):
         raise UsageError(
             "no calibration has positions that were set, which would be fitted again: measure one of them with a "
             "procedure that sets its positions"
@@ -266,11 +280,13 @@ def _design(sessions: Sequence[CombinedSession]) -> Design:
         tuple(axis for axis in AXES if any(axis in s.coefficients.axes for s in scaled)),
         max((thermal.drift.shape[1] for thermal in thermals), default=0),
         max((thermal.gain.shape[1] for thermal in thermals), default=0),
-        thermals[0].reference if thermals else 0.0,
+        max(thermals, key=lambda thermal: thermal.drift.shape[1]).reference if thermals else 0.0,
         max((fit.jig_degrees for fit in fits if fit.jig_degrees is not None), default=None),
         table_lean=max((fit.table_lean_degrees for fit in fits if fit.table_lean_degrees is not None), default=None),
-        heading=max(fit.heading_degrees or 0.0 for fit in fits),
-        thermometer=max(fit.thermometer_celsius or fit.thermometer_estimated_celsius or 0.0 for fit in fits),
+        heading=max((fit.heading_degrees or 0.0 for fit in fits), default=0.0),
+        thermometer=max(
+            (fit.thermometer_celsius or fit.thermometer_estimated_celsius or 0.0 for fit in fits), default=0.0
+        ),
         nonlinearity=max(bends, default=0),
         angles=sessions[0].coefficients.angles,
     )
@@ -296,6 +312,43 @@ def _design(sessions: Sequence[CombinedSession]) -> Design:
                 )
             exact[name] = Prior(values(session.coefficients)[name])
     return replace(design, priors=exact, stated=statements)
+
+
+def _of_values(sessions: Sequence[CombinedSession], design: Design) -> Estimate:
+    """Return what files state together, none of which has positions that were set, by generalised least squares."""
+    from scipy.linalg import block_diag
+    from scipy.special import chdtrc
+
+    held = {name: prior.value for name, prior in design.priors.items()}
+    known = np.array([held.get(name, 0.0) for name in design.names])
+    wanted = np.array([name not in held for name in design.names])
+    rows = np.vstack([one.rows for one in design.stated])
+    # Over their uncertainty, independent.
+    whiten = np.linalg.inv(np.linalg.cholesky(block_diag(*(one.covariance for one in design.stated))))
+    target, jacobian = whiten @ (np.concatenate([one.values for one in design.stated]) - rows @ known), whiten @ rows
+    names = [name for name, free in zip(design.names, wanted, strict=True) if free]
+    if mixed := undetermined(jacobian[:, wanted], names):
+        raise EstimateError(f"the calibrations together leave {', '.join(mixed[:4])} undetermined")
+    theta, covariance = known.copy(), np.zeros((len(known), len(known)))
+    theta[wanted] = np.linalg.lstsq(jacobian[:, wanted], target, rcond=None)[0]
+    covariance[np.ix_(wanted, wanted)] = np.linalg.inv(jacobian[:, wanted].T @ jacobian[:, wanted])
+    for k, name in enumerate(design.names):
+        covariance[k, k] += design.priors[name].u ** 2 if name in held else 0.0
+    dof, rise = len(target) - len(names), float(np.sum((target - jacobian[:, wanted] @ theta[wanted]) ** 2))
+    if dof and chdtrc(dof, rise) < REFUSED:
+        raise _contradiction(sessions, rise, dof)
+    positions = tuple(s.named(name) for s in sessions for name in s.record.fit.residuals)
+    each = [[row[c] for c in design.channels] for s in sessions for row in s.record.fit.residuals.values()]
+    return Estimate(
+        coefficients=SensorObservations(design, ()).coefficients(theta),
+        uncertain=Uncertain.errors(design.names, covariance, source=BASE),
+        positions=positions,
+        residuals=np.array(each),
+        dof=dof,
+        chi_square=rise if dof else None,
+        p=float(chdtrc(dof, rise)) if dof else None,
+        stated=True,
+    )
 
 
 def _observations(sessions: Sequence[CombinedSession], design: Design) -> list[list[Observation]]:
@@ -348,6 +401,11 @@ def _require_agreement(
         ratio = rise / max(more, 1) * free / max(chi_square, 1e-9)
         if more <= 0 or rise <= 0.0 or (fdtrc(more, free, ratio) if shared else chdtrc(more, rise)) >= REFUSED:
             return
+    raise _contradiction(sessions, rise, more)
+
+
+def _contradiction(sessions: Sequence[CombinedSession], rise: float, more: int) -> UsageError:
+    """Return the refusal of sessions by what they differ in, or by the rise of chi-square."""
     unstated = [session.label for session in sessions if session.record.fit.uncertainty_from == NOISE_ALONE]
     why: Parts = ("one of the sessions is wrong, or the sensor has changed between them",)
     if unstated:
@@ -356,7 +414,7 @@ def _require_agreement(
     lines = [f"  {line}" for line in _differences(sessions)]
     risen = f"  chi-square rises by {rise:.3g} over the separate fits, with {more} degrees of freedom"
     what = "the calibrations contradict by more than their uncertainty:"
-    raise UsageError(("\n".join([what, *(lines or [risen]), ""]), *why))
+    return UsageError(("\n".join([what, *(lines or [risen]), ""]), *why))
 
 
 def _differences(sessions: Sequence[CombinedSession]) -> Iterator[str]:
@@ -399,6 +457,7 @@ def _record(sessions: Sequence[CombinedSession], found: Estimate, design: Design
             not_covered=tuple(dict.fromkeys(error for fit in fits for error in fit.not_covered)),
             mounting=next((fit.mounting for fit in fits if fit.mounting), None),
             level=next((fit.level for fit in fits if fit.level), None),
+            **({} if any(s.observed for s in sessions) else {"uncertainty_from": "stated by the calibrations"}),
         ),
         procedure=ProcedureRecord(
             name=" + ".join(session.record.procedure.name or session.label for session in sessions),

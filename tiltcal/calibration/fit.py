@@ -25,9 +25,9 @@ from tiltcal.calibration.stated import (
 from tiltcal.calibration.wording import LARGEST_AGREEMENT
 from tiltcal.core.directions import covered, tilts
 from tiltcal.core.estimation.estimate import NO_FREEDOM, Estimate, estimate_jointly, with_hysteresis
-from tiltcal.core.estimation.free import UNKNOWNS, FreeFit, fit_free
+from tiltcal.core.estimation.free import FreeFit, fit_free
 from tiltcal.core.estimation.positions import Design, Observation, SensorObservations
-from tiltcal.core.model import AXES, Coefficients, Limits
+from tiltcal.core.model import AXES, Coefficients, Limits, Thermal
 from tiltcal.core.rounding import outwards, significant
 from tiltcal.core.samples import SampleSummary, correlated_noise, noise_of_means
 from tiltcal.core.uncertain import NORMAL_FACTOR
@@ -242,6 +242,8 @@ direction is refused, mg."""
 
 UNEQUAL = 1.5  # the largest sensitivity of a direction over the least, beyond which they are those of no sensor
 
+WARM = 5.0  # a span of temperatures beyond which free attitudes show a drift of the offset, °C
+
 REACH = 45.0  # a direction is missing where no attitude comes as near, degrees
 
 UNDETERMINED = (
@@ -262,7 +264,15 @@ def calibrate_free(sensor: MeasuredSensor, procedure: PositionProcedure, bench: 
     std = np.array([[summary.std for summary in row] for row in summaries])
     slow = float(np.sum([[summary.n * summary.noise**2 for summary in row] for row in summaries]))
     sway = std * sqrt(max(1.0 - float(np.sum(std**2)) / slow, 0.0)) if slow else 0.0 * std
-    seen = fit_free(mean, u, sway)
+    met = [measurement.temperature for measurement in sensor.measurements]
+    known = [one for one in met if one is not None]
+    reference, warmth, thermal = 0.0, None, None
+    if len(known) == len(met) and max(known) - min(known) > WARM:
+        reference = round(fsum(known) / len(known), 3)
+        warmth = np.array(known) - reference
+    seen = fit_free(mean, u, sway, warmth)
+    if warmth is not None:
+        thermal = Thermal(reference, (min(known), max(known)), seen.drift[:, None], np.empty((3, 0)))
     names = [measurement.position for measurement in sensor.measurements]
     off = {name: significant(1e3 * float(misfit), 3) for name, misfit in zip(names, seen.misfit, strict=True)}
     if len(seen.disagreeing):
@@ -278,7 +288,7 @@ def calibrate_free(sensor: MeasuredSensor, procedure: PositionProcedure, bench: 
     ]
     dof = sum(summary.dof for row in summaries for summary in row)
     found = Estimate(
-        coefficients=Coefficients(AXES, AXES, seen.offset, seen.sensitivity),
+        coefficients=Coefficients(AXES, AXES, seen.offset, seen.sensitivity, thermal),
         uncertain=seen.uncertain(dof),
         positions=tuple(compress(names, seen.kept)),
         residuals=(seen.misfit[:, None] * seen.attitudes)[seen.kept] @ seen.sensitivity.T,
@@ -338,7 +348,7 @@ def _warning(calibration: CalibrationRecord, seen: FreeFit) -> str | None:
         raise EstimateError(f"the attitudes do not determine the sensor: {why}; {advice}")
     warnings = [f"{uncertain}: {advice}"] if expanded[worst] > UNCERTAIN else []
     few = (
-        f"{seen.distinct} different attitudes for {UNKNOWNS} unknowns: zero degrees of freedom are left to show "
-        "whether the result is right; add attitudes, 12 to 18 or more"
+        f"{seen.distinct} different attitudes for {seen.unknowns} unknowns: zero degrees of freedom are left to show "
+        f"whether the result is right; add attitudes, {seen.unknowns + 3} to {2 * seen.unknowns} or more"
     )
-    return "; ".join([few] * (seen.distinct <= UNKNOWNS) + warnings) or None
+    return "; ".join([few] * (seen.distinct <= seen.unknowns) + warnings) or None

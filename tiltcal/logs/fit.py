@@ -47,7 +47,6 @@ from tiltcal.files.tables import (
 )
 from tiltcal.logs.columns import (
     ReadingsHeader,
-    RecordedColumns,
     named_columns,
     readings_header,
     require_units,
@@ -81,7 +80,6 @@ from tiltcal.stated_arguments import require_name
 
 R = TypeVar("R", FileRecord, SegmentsRecord)
 
-WARM = 5.0  # a span of temperatures beyond which free attitudes are not of one temperature, °C
 IDLE = 1e-6  # gravity along an axis that differs by less between positions determines nothing, g
 WEIGHTLESS = 0.5  # readings whose length is below this most of the time are without gravity, g
 UNSTATED = "1"  # stands for a unit that nothing states yet; it fits all
@@ -287,8 +285,6 @@ def _of_log(
     require_positions([*stated, *named], procedure, file=file)
     record, found = logs.read(sensor.channels, options["columns"], sensor.unit)
     record = with_signs(record, signs)
-    if not procedure.known:
-        _remark_warmth(record, say)
     origin, fewest, holds = _origin(given, SegmentsRecord), WINDOWS[-1], None
     if judge is not None:
         _require_gravity(record.of(sensor.channels), sensor.unit)
@@ -318,14 +314,6 @@ def _of_log(
     step = even_step(record.by_role[TEMPERATURE]) if TEMPERATURE in record.by_role else 0.0
     means = np.array([[one.summaries[channel].mean for channel in sensor.channels] for one in measurements])
     return FitPositions(measurements, provenance, None, step, means, record.of(sensor.channels), holds)
-
-
-def _remark_warmth(record: RecordedColumns, say: Remark) -> None:
-    """Remark a drift that free positions leave out."""
-    warmth = record.by_role.get(TEMPERATURE, np.empty(0))
-    span = float(np.nanmax(warmth) - np.nanmin(warmth)) if np.isfinite(warmth).any() else 0.0
-    if span > WARM:
-        say(f"note: the temperature spans {span:.3g} °C, and a drift counts as zero here: take a ramp too, and combine")
 
 
 def _trimmed_origin(holds: Trimmed, count: int, origin: SegmentsRecord | None, say: Remark) -> SegmentsRecord | None:

@@ -15,7 +15,7 @@ equipments* (2014), which minimises the same misfits.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import cos, inf, radians, sqrt
 
 import numpy as np
@@ -38,14 +38,10 @@ CHANCE = 0.01  # misfits below the noise that chance makes less often than this 
 
 _UPPER = np.triu_indices(3)
 UNKNOWNS = 3 + len(_UPPER[0])
-_COEFFICIENTS = [name for axis in AXES for name in ChannelModel(axis, AXES).coefficients]
 _NAMES = [f"offset.{axis}" for axis in AXES]
 _NAMES += [f"sensitivity.{AXES[i]}.{AXES[j]}" for i, j in zip(*_UPPER, strict=True)]
-_PLACES = np.concatenate([4 * np.arange(3), 4 * _UPPER[0] + 1 + _UPPER[1]])  # among the twelve, channel by channel
-_ADVICE = (
-    "add positions that are spread over the whole sphere, each axis up and down among them; it takes at least nine "
-    "positions, and 12 to 18 show whether the result is right"
-)
+_NAMES += [f"temperature.offset.{axis}.1" for axis in AXES]
+NO_DRIFT = np.zeros(3)
 
 
 @dataclass(frozen=True)
@@ -57,12 +53,15 @@ class Misfits:
     gravity: Array  # (n, 3), g
     misfit: Array  # (n,), g
     by_reading: Array  # derivatives of the misfits, (n, 3), g/unit
+    drift: Array  # (3,), unit/°C
+    warmth: Array | None  # temperatures from their mean, (n,), °C; None where no drift is fitted
 
     @property
     def jacobian(self) -> Array:
-        """Derivatives of the misfits by the offsets and the upper triangle, shape (n, 9)."""
+        """Derivatives of the misfits by the offsets, the upper triangle and the drifts, shape (n, 9) or (n, 12)."""
         rows, columns = _UPPER
-        return np.hstack([-self.by_reading, -self.by_reading[:, rows] * self.gravity[:, columns]])
+        blocks = [-self.by_reading, -self.by_reading[:, rows] * self.gravity[:, columns]]
+        return np.hstack(blocks if self.warmth is None else [*blocks, -self.by_reading * self.warmth[:, None]])
 
     def explained(self, u: Array) -> float:
         """Return the root mean square of the misfits, g, that uncertainties of the readings explain, shape (n, 3)."""
@@ -93,7 +92,12 @@ class FreeFit(Misfits):
     @property
     def dof(self) -> int:
         """Degrees of freedom."""
-        return int(self.kept.sum()) - UNKNOWNS
+        return int(self.kept.sum()) - self.unknowns
+
+    @property
+    def unknowns(self) -> int:
+        """Number of unknowns."""
+        return UNKNOWNS if self.warmth is None else len(_NAMES)
 
     @property
     def rms(self) -> float:
@@ -112,40 +116,44 @@ class FreeFit(Misfits):
 
     @property
     def expanded(self) -> float:
-        """Expanded uncertainty (95 %) of the nine unknowns on average, g; infinite unless more attitudes differ."""
-        if self.distinct <= UNKNOWNS:
+        """Expanded uncertainty (95 %) of the unknowns on average, g; infinite unless more attitudes differ."""
+        if self.distinct <= self.unknowns:
             return inf
         inverse = np.linalg.pinv(self.jacobian[self.kept] * float(np.mean(np.diag(self.sensitivity))))
         student = float(coverage_factor(np.array([float(self.dof)]))[0])
         return student * max(self.noise, self.scatter) * sqrt(float(np.mean(np.sum(inverse**2, axis=1))))
 
     def uncertain(self, noise_dof: float) -> Uncertain:
-        """Return the uncertainty of the twelve coefficients, channel by channel; the noise has so many dof."""
+        """Return the uncertainty of the coefficients, channel by channel; the noise has so many dof."""
         by_noise = self.dof == 0 or self.below_noise
         scatter, dof = (self.noise, noise_dof) if by_noise else (self.scatter, self.dof)
         return _uncertain(self.jacobian[self.kept], scatter, dof)
 
 
-def fit_free(mean: Array, u: Array, sway: Array | float = 0.0) -> FreeFit:
+def fit_free(mean: Array, u: Array, sway: Array | float = 0.0, warmth: Array | None = None) -> FreeFit:
     """Fit mean readings of x, y, z in free attitudes, and leave out attitudes that do not agree.
 
     ``u`` is their uncertainty, ``sway`` the standard deviation within each attitude that is motion and not noise, all
-    of shape (n, 3). An EstimateError where the unknowns stay unknown.
+    of shape (n, 3). Where ``warmth`` is given, the temperatures from their mean, (n,), °C, the offsets drift. An
+    EstimateError where the unknowns stay unknown.
     """
+    unknowns = UNKNOWNS if warmth is None else len(_NAMES)
     n, kept, sway = len(mean), np.ones(len(mean), dtype=bool), np.broadcast_to(sway, mean.shape)
-    if n < UNKNOWNS:
-        raise EstimateError(f"{n} free positions for {UNKNOWNS} unknowns: {_ADVICE}")
+    if n < unknowns:
+        drifts = "" if warmth is None else ", three of them drifts because the temperature changes"
+        raise EstimateError(f"{n} free positions for {unknowns} unknowns{drifts}: {_advice(unknowns)}")
     middle, half = (mean.max(axis=0) + mean.min(axis=0)) / 2.0, np.ptp(mean, axis=0) / 2.0
-    near = _minimum(mean, sway, middle, np.diag(half), absolute=True)
-    dof, limit = MEDIAN_EFFICIENCY * (n - UNKNOWNS), inf
+    start = _misfits(mean, sway, middle, np.diag(half), warmth=warmth)
+    near = _minimum(mean, sway, start, absolute=True)
+    dof, limit = MEDIAN_EFFICIENCY * (n - unknowns), inf
     if dof:
         # As many misfits as there are unknowns vanish where the sum of absolute misfits is least.
-        scatter = MEDIAN_TO_SIGMA * float(np.median(np.sort(np.abs(near.misfit))[UNKNOWNS:]))
+        scatter = MEDIAN_TO_SIGMA * float(np.median(np.sort(np.abs(near.misfit))[unknowns:]))
         scatter = near.explained(u) if _below_noise(scatter, dof, near.explained(u)) else scatter
         limit = FAR * max(scatter, CLOSE) * float(coverage_factor(np.array([dof]))[0]) / NORMAL_FACTOR
     fewest = max(FEWEST_LEFT, n - int(MOST_LEFT_OUT * n))
     while True:
-        near = _minimum(mean[kept], sway[kept], near.offset, near.sensitivity)
+        near = _minimum(mean[kept], sway[kept], replace(near, warmth=None if warmth is None else warmth[kept]))
         _require_determined(near.jacobian)
         leverage = np.sum(np.linalg.qr(near.jacobian)[0] ** 2, axis=1)
         studentised = np.abs(near.misfit) / np.sqrt(np.maximum(1.0 - leverage, 1e-6))
@@ -155,44 +163,61 @@ def fit_free(mean: Array, u: Array, sway: Array | float = 0.0) -> FreeFit:
         kept[np.flatnonzero(kept)[worst]] = False
     beyond = np.flatnonzero(kept)[studentised > limit]
     disagreeing = np.union1d(np.flatnonzero(~kept), beyond) if len(beyond) else beyond
-    every = _misfits(mean, sway, near.offset, near.sensitivity)
+    every = _misfits(mean, sway, near.offset, near.sensitivity, near.drift, warmth)
     return FreeFit(**vars(every), kept=kept, disagreeing=disagreeing, noise=every.explained(u))
 
 
 def planned_uncertain(attitudes: Array, noise: float, sensitivity: float) -> Uncertain:
     """Return the uncertainty of the twelve coefficients that planned attitudes, (n, 3), leave; noise of means, unit."""
     if len(attitudes) < UNKNOWNS:
-        raise EstimateError(f"{len(attitudes)} free positions for {UNKNOWNS} unknowns: {_ADVICE}")
+        raise EstimateError(f"{len(attitudes)} free positions for {UNKNOWNS} unknowns: {_advice(UNKNOWNS)}")
     readings = attitudes * sensitivity
     jacobian = _misfits(readings, np.zeros_like(readings), np.zeros(3), np.eye(3) * sensitivity).jacobian
     _require_determined(jacobian)
     return _uncertain(jacobian, noise / sensitivity, inf)
 
 
-def _minimum(mean: Array, sway: Array, offset: Array, sensitivity: Array, *, absolute: bool = False) -> Misfits:
+def _minimum(mean: Array, sway: Array, start: Misfits, *, absolute: bool = False) -> Misfits:
     """Return where the sum of squared misfits, or of ``absolute`` ones, is least, by Gauss-Newton steps."""
-    near = _misfits(mean, sway, offset, sensitivity)
+    near = _misfits(mean, sway, start.offset, start.sensitivity, start.drift, start.warmth)
     for _ in range(STEPS):
         weight = 1.0 / np.sqrt(np.maximum(np.abs(near.misfit), CLOSE)) if absolute else np.ones(len(mean))
         # All unknowns are counted in units of the first sensitivity, so that they are of one size.
         size = near.sensitivity[0, 0]
         change = np.linalg.lstsq(near.jacobian * (size * weight)[:, None], -near.misfit * weight, rcond=None)[0] * size
         sensitivity = near.sensitivity.copy()
-        sensitivity[_UPPER] += change[3:]
-        near = _misfits(mean, sway, near.offset + change[:3], sensitivity)
+        sensitivity[_UPPER] += change[3:UNKNOWNS]
+        drift = near.drift if near.warmth is None else near.drift + change[UNKNOWNS:]
+        near = _misfits(mean, sway, near.offset + change[:3], sensitivity, drift, near.warmth)
         if np.max(np.abs(change)) <= 1e-12 * size:
             break
     return near
 
 
-def _misfits(mean: Array, sway: Array, offset: Array, sensitivity: Array) -> Misfits:
+def _misfits(
+    mean: Array,
+    sway: Array,
+    offset: Array,
+    sensitivity: Array,
+    drift: Array = NO_DRIFT,
+    warmth: Array | None = None,
+) -> Misfits:
     if not np.all(np.diag(sensitivity) > 0.0):
-        raise EstimateError(f"the readings lie on no ellipsoid: {_ADVICE}")
+        raise EstimateError(f"the readings lie on no ellipsoid: {_advice(UNKNOWNS if warmth is None else len(_NAMES))}")
     inverse = np.linalg.inv(sensitivity)
-    gravity = (mean - offset) @ inverse.T
+    gravity = (mean - (offset if warmth is None else offset + warmth[:, None] * drift)) @ inverse.T
     # Gravity is 1 g at each instant; its mean over directions that sway is shorter, by their variance.
     length = np.sqrt(np.sum(gravity**2, axis=1) + np.sum((sway / np.diag(sensitivity)) ** 2, axis=1))
-    return Misfits(offset, sensitivity, gravity, length - 1.0, gravity / length[:, None] @ inverse)
+    by_reading = gravity / length[:, None] @ inverse
+    return Misfits(offset, sensitivity, gravity, length - 1.0, by_reading, drift, warmth)
+
+
+def _advice(unknowns: int) -> str:
+    least, enough = ("nine", "12 to 18") if unknowns == UNKNOWNS else ("twelve", "16 to 24")
+    return (
+        "add positions that are spread over the whole sphere, each axis up and down among them; it takes at least "
+        f"{least} positions, and {enough} show whether the result is right"
+    )
 
 
 def _below_noise(scatter: float, dof: float, noise: float) -> bool:
@@ -203,13 +228,17 @@ def _below_noise(scatter: float, dof: float, noise: float) -> bool:
 
 
 def _require_determined(jacobian: Array) -> None:
-    mixed = undetermined(jacobian, _NAMES)
+    unknowns = jacobian.shape[1]
+    mixed = undetermined(jacobian, _NAMES[:unknowns])
     if mixed:
-        raise EstimateError(f"the {len(jacobian)} free positions do not determine {', '.join(mixed[:4])}: {_ADVICE}")
+        which = ", ".join(mixed[:4])
+        raise EstimateError(f"the {len(jacobian)} free positions do not determine {which}: {_advice(unknowns)}")
 
 
 def _uncertain(jacobian: Array, scatter: float, dof: float) -> Uncertain:
-    """Return the uncertainty of the twelve coefficients, those below the diagonal exact; ``scatter`` in g."""
-    covariance = np.zeros((12, 12))
-    covariance[np.ix_(_PLACES, _PLACES)] = scatter**2 * np.linalg.inv(jacobian.T @ jacobian)
-    return Uncertain.errors(_COEFFICIENTS, covariance, dof, source=NOISE)
+    """Return the uncertainty of the coefficients, those below the diagonal exact; ``scatter`` in g."""
+    unknowns = jacobian.shape[1]
+    names = [name for axis in AXES for name in ChannelModel(axis, AXES, int(unknowns > UNKNOWNS)).coefficients]
+    places, covariance = [names.index(name) for name in _NAMES[:unknowns]], np.zeros((len(names), len(names)))
+    covariance[np.ix_(places, places)] = scatter**2 * np.linalg.inv(jacobian.T @ jacobian)
+    return Uncertain.errors(names, covariance, dof, source=NOISE)

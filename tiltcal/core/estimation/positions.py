@@ -151,7 +151,7 @@ class SensorObservations:
         thermal = None
         if design.thermal:
             met = [one.temperature for one in self.observations if one.temperature is not None]
-            thermal = Thermal(design.reference, (float(min(met)), float(max(met))), drift, gain)
+            thermal = Thermal(design.reference, (float(min(met)), float(max(met))) if met else None, drift, gain)
         bent = bend if design.nonlinearity else None
         return Coefficients(
             design.channels, design.axes, table[:, 0], sensitivity, thermal, nonlinearity=bent, angles=design.angles
