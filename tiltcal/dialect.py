@@ -271,12 +271,13 @@ class Dialect:
 
     @cached_property
     def _head(self) -> frozenset[str]:
-        lines = (without_clock(line)[1] if self.has_clock else line for line in self.head)
-        return frozenset(text for line in lines if (text := line.strip()) and not self._has_numbers(text))
+        lines = (line for line in self.head if not self._has_numbers(line))
+        texts = ((without_clock(line)[1] if self.has_clock else line).strip() for line in lines)
+        return frozenset(text for text in texts if text)
 
-    def _has_numbers(self, text: str) -> bool:
+    def _has_numbers(self, line: str) -> bool:
         """Return whether a line could be a row: what stood before the table may come again as one."""
-        cells = split(text, self.separator)
+        cells = split(self.fields_of(line.strip()), self.separator)
         return len(cells) == len(self.names) and "number" in map(kind_of, cells)
 
     def is_other_header(self, line: str) -> bool:

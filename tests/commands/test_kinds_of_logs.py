@@ -86,3 +86,14 @@ def test_a_clock_that_starts_again_is_a_break(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     assert "(100 Hz)" in done.stdout
     assert "the time starts again 1 time, first at row 600" in done.stderr
+
+
+def test_a_row_that_stands_before_the_table_too_is_a_row(tmp_path: Path) -> None:
+    """Also beside a damaged row, where the block is read line by line."""
+    rows = [f"{time}.0\t9.78\t0.21\t0.18\t" for time in range(0, 200, 10)]
+    head = [rows[4], '"sep=\t"', "A1_Unix\tA1_Accel_X\tA1_Accel_Y\tA1_Accel_Z", "ms\tm/(s^2)\tm/(s^2)\tm/(s^2)"]
+    rows[12] = rows[12].replace("9.78", "9.x78")
+    (tmp_path / "log.txt").write_text("\n".join([*head, *rows, ""]))
+    with open_log(tmp_path / "log.txt", skip_bad_rows=True) as log:
+        times = [time for block in log.rows(range(4)) for time in block.values[0].tolist()]
+    assert (times[:12], len(times)) == ([10.0 * number for number in range(12)], 20)
