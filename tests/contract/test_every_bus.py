@@ -247,7 +247,7 @@ def test_a_device_behind_a_socket() -> None:
 REFUSED = (
     (f"{SPI}?speed=0", "option speed=0 is too small"),
     (f"{SPI}?sped=1", r"unknown option 'sped' \(did you mean 'speed'\?\)"),
-    ("i2c:///dev/i2c-1", r"option 'address' is missing \(add address=...\)"),
+    ("i2c:///dev/i2c-1", r"option 'address' is missing \(add [?]address=...\)"),
     ("i2c:///dev/i2c-1?address=0x07", "option address=0x07 is too small"),
     ("i2c:///dev/i2c-1?address=0x78", "option address=0x78 is too large"),
     ("gpio:///dev/gpiochip0?x=17", "option 'y' is missing"),

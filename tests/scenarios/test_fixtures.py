@@ -137,7 +137,7 @@ def test_a_golden_file_that_differs_is_judged_failing(tmp_path: Path) -> None:
 def test_the_workflow_of_the_page_is_green_and_then_red(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Its lines as they stand, on journals of two procedures."""
     monkeypatch.chdir(tmp_path)
-    page = (ROOT / "docs" / "how-to" / "ci.md").read_text(encoding="utf-8")
+    page = (ROOT / "examples" / "driver" / "workflow.yml").read_text(encoding="utf-8")
     install, *lines = re.findall(r"- run: (.*)", page)
     assert install == "pip install . tiltcal pytest"
     (tmp_path / "journals").mkdir()

@@ -112,7 +112,7 @@ class Rig:
 @pytest.mark.parametrize(
     ("order", "reads", "why"),
     [
-        ([0, 1, 2, 3], 1024, r"x-tilt1 failed 10 times in a row .*x reads 1024 where about 1433\.5 is expected"),
+        ([0, 1, 2, 3], 1024, r"x-tilt1 failed 10 times in a row.*x reads 1024 where about 1433\.5 is expected"),
         ([0, 1, 2, 3], 2047, r"x-tilt1 .* x reads 2047, at its rail: is the angle within"),
         ([2, 3, 0, 1], 1024, r"x-tilt1 .* x of S-1 is stuck: all 60 samples of 3 positions read 1024 count; see that"),
     ],
