@@ -10,7 +10,7 @@ def how_to_add(package: str) -> str:
     """Return the command that adds a package, or tiltcal itself with an extra, such as ``tiltcal[report]``."""
     places, own = Path(sys.prefix).parts, package.startswith("tiltcal[")
     named = f"'{package}'" if own else package
-    if "pipx" in places:
+    if "pipx" in places or Path(sys.prefix, "pipx_metadata.json").exists():  # PIPX_HOME may be anywhere
         return f"pipx install --force {named}" if own else f"pipx inject tiltcal {named}"
     if "uv" in places and "tools" in places:
         return f"uv tool install {named}" if own else f"uv tool install tiltcal --with {named}"
