@@ -92,6 +92,8 @@ def _with_lean(design: Design, model: Model | None, usual: float) -> Design:
         axes = (*axes, "z")
     u = abs(size) / DEGREES * sin(LEAN_OF_CHANNELS)
     priors = {f"sensitivity.{c}.z": Prior(0.0, u) for c in design.channels if "z" not in design.axes}
+    if design.angles is not None and design.angles.euler and "y" in design.channels:
+        priors["sensitivity.y.z"] = Prior(0.0)  # a turn about x is an offset of the roll, exactly
     return replace(design, axes=axes, priors=priors, nominal=size)
 
 
