@@ -186,7 +186,7 @@ class CompensatedLog:
                 table = block.marked(table)
             self.summary.add(table, len(block.faults) + block.bad_rows)
             yield block, table
-        odd = self.log.clock_remarks if self.prepared.averaging is not None else []
+        odd = self.log.clock.remarks if self.prepared.averaging is not None else []
         for remark in [*self.log.remarks, *odd]:
             self._say(f"note: {remark}")
         for sensor in self.prepared.sensors:

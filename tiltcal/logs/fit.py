@@ -124,7 +124,7 @@ def fit_recorded(
         elif positions.lengths is not None:
             remark = length_remark(positions.lengths, identity.unit, positions.columns)
             options["say"](f"note: {remark}") if remark else None
-        remarks = (remark for log in (logs.logs if logs else ()) for remark in (*log.remarks, *log.clock_remarks))
+        remarks = (remark for log in (logs.logs if logs else ()) for remark in (*log.remarks, *log.clock.remarks))
         for remark in dict.fromkeys(remarks):
             options["say"](f"note: {remark}")
     steps = _without_idle_axes(steps, identity, positions.measurements, options["say"])

@@ -82,11 +82,68 @@ class LogSource:
     skip_bad_rows: bool = False
     progress: Progress | None = None
 
+    @property
+    def interrupted(self) -> bool:
+        """Whether Ctrl-C has ended a live stream."""
+        return bool(getattr(self.stream, "interrupted", False))
+
+
+class LogClock:
+    """The times of a log on their way to seconds, and what is odd in them."""
+
+    def __init__(self) -> None:
+        self._moments: bool | None = None
+        self._unit: str | None = None
+        self._rows = 0
+        self._last: Array = np.empty(0)
+        self._breaks: dict[str, tuple[int, int]] = {}
+
+    def seconds(
+        self, times: Array, cells: pl.Series | None, stated: str | None, file: str
+    ) -> tuple[Array, str | None, str]:
+        """Return the next times in seconds, the unit that they were in, and how it is known."""
+        by = "its name"
+        if self._moments is None and np.isfinite(times).any():
+            self._moments = are_moments(cells)
+        if self._moments:
+            stated = None
+        elif stated is None:
+            stated = self._unit = self._unit or unit_since_epoch(times)
+            by = "the size of its numbers"
+        if stated is not None:
+            times = seconds_since_1970(times, stated, file)
+        self._watch(times)
+        return times, stated, by
+
+    def _watch(self, times: Array) -> None:
+        """Count where the clock starts again, and which rows are out of order or have the time of the row before."""
+        shift = self._rows - len(self._last)
+        self._rows += len(times)
+        times = np.concatenate([self._last, times])
+        for kind, found in zip(("starts again", "goes back"), clock_breaks(times), strict=True):
+            count, at = self._breaks.get(kind, (0, 0))
+            if len(found):
+                self._breaks[kind] = (count + len(found), at or int(found[0]) + shift)
+        known = times[np.isfinite(times)]
+        if doubled := int(np.count_nonzero(np.diff(known) == 0.0)):
+            self._breaks["stands still"] = (self._breaks.get("stands still", (0, 0))[0] + doubled, 0)
+        self._last = known[-1:]
+
+    @property
+    def remarks(self) -> list[str]:
+        """What is odd in the times that were read: a restart, rows out of order, doubled times."""
+        return [
+            f"the time {kind} {counted(count, 'time')}" + (f", first at row {at}" if at else "")
+            for kind, (count, at) in self._breaks.items()
+        ]
+
 
 class LogReader(ABC):
     """A recorded log, read once from its beginning to its end.
 
-    ``notes`` is what it states about itself; ``remarks`` are sentences on how its rows were read, once they are.
+    ``name`` is the log as the user named it, for messages; ``notes`` is what it states about itself; ``remarks`` are
+    sentences on how its rows were read, once they are. Where it ``reads_ahead``, a thread reads and parses the next
+    blocks meanwhile, which only a source that never waits may do.
     """
 
     names: tuple[str, ...]
@@ -96,29 +153,16 @@ class LogReader(ABC):
     """The columns of numbers, but for times, of a log that does not name its columns."""
 
     def __init__(self, source: LogSource) -> None:
-        self.source = source
+        self.source, self.name, self.clock = source, source.name, LogClock()
         self.notes: Mapping[str, str] = {}
         self.bytes_read = self.rows_read = 0
         self.remarks: list[str] = []
-        self._moments: bool | None = None
-        self._time_unit: str | None = None
-        self._last_time: Array = np.empty(0)
-        self._breaks: dict[str, tuple[int, int]] = {}
-
-    @property
-    def name(self) -> str:
-        """The log as the user named it, for messages."""
-        return self.source.name
+        self.reads_ahead = False
 
     @property
     def sha256(self) -> str | None:
         """The checksum of the log, hexadecimal; None of a frame."""
         return sha256_of(self.source.path)
-
-    @property
-    def interrupted(self) -> bool:
-        """Whether Ctrl-C has ended a live stream."""
-        return bool(getattr(self.source.stream, "interrupted", False))
 
     def rows(
         self,
@@ -140,14 +184,12 @@ class LogReader(ABC):
         keep_freed_memory()
         blocks = self._blocks(tuple(columns), time, frames)
         rows, timed = 0, not needs_time or time is None
-        for block in read_ahead(blocks) if self._reads_ahead else blocks:
+        for block in read_ahead(blocks) if self.reads_ahead else blocks:
             timed = timed or bool(np.isfinite(block.values[time or 0]).any())
-            if not timed and block.times is not None:
-                self._refuse_times(block.times, self.names[time or 0], rows)
+            if not timed and block.times is not None and (wrong := unread_time(block.times, self.names[time or 0])):
+                raise self._row_error(wrong[1], rows + wrong[0])
             rows += len(block)
             block = self._converted(block, time, temperatures)
-            if time is not None:
-                self._watch_clock(block.values[time], self.rows_read)
             self.rows_read = rows
             yield block
             if self.source.progress is not None:
@@ -164,48 +206,15 @@ class LogReader(ABC):
             per_degree, zero = TEMPERATURES[spelt(str(self.unit(index)))]
             values[index] = (values[index] - zero) * per_degree
             self._say_unit(index, str(self.unit(index)), "°C")
-        if time is not None and self._moments is None and np.isfinite(block.values[time]).any():
-            self._moments = are_moments(block.times)
-        if time is not None and not self._moments:
-            stated, by = self.unit(time), "its name"
-            if stated is None:
-                self._time_unit = self._time_unit or unit_since_epoch(values[time])
-                stated, by = self._time_unit, "the size of its numbers"
-            if stated is not None:
-                values[time] = seconds_since_1970(values[time], stated, self.name)
-            if stated not in (None, "s"):
-                self._say_unit(time, str(stated), "seconds", by)
+        if time is not None:
+            values[time], unit, by = self.clock.seconds(values[time], block.times, self.unit(time), self.name)
+            if unit not in (None, "s"):
+                self._say_unit(time, str(unit), "seconds", by)
         return replace(block, values=values)
-
-    def _watch_clock(self, times: Array, first: int) -> None:
-        """Count where the clock starts again, and which rows are out of order or have the time of the row before."""
-        times = np.concatenate([self._last_time, times])
-        shift = first - len(self._last_time)
-        for kind, found in zip(("starts again", "goes back"), clock_breaks(times), strict=True):
-            count, at = self._breaks.get(kind, (0, 0))
-            if len(found):
-                self._breaks[kind] = (count + len(found), at or int(found[0]) + shift)
-        known = times[np.isfinite(times)]
-        if doubled := int(np.count_nonzero(np.diff(known) == 0.0)):
-            self._breaks["stands still"] = (self._breaks.get("stands still", (0, 0))[0] + doubled, 0)
-        self._last_time = known[-1:]
-
-    @property
-    def clock_remarks(self) -> list[str]:
-        """What is odd in the times that were read: a restart, rows out of order, doubled times."""
-        return [
-            f"the time {kind} {counted(count, 'time')}" + (f", first at row {at}" if at else "")
-            for kind, (count, at) in self._breaks.items()
-        ]
 
     def _say_unit(self, column: int, unit: str, used: str, by: str = "its name") -> None:
         said = f"column {self.names[column]!r} is in {unit}, by {by}: {used} are used inside"
         self.remarks += [said] * (said not in self.remarks)
-
-    @property
-    def _reads_ahead(self) -> bool:
-        """Whether a thread reads and parses the next blocks meanwhile, which only a source that never waits may do."""
-        return False
 
     @abstractmethod
     def _blocks(self, columns: Sequence[int], time: int | None, frames: bool) -> Iterator[LogBlock]: ...
@@ -217,11 +226,6 @@ class LogReader(ABC):
             why = f"column {self.names[index]!r} holds {column.dtype}, not numbers: name another, or make numbers of it"
             raise InputError(why, file=self.name)
         return values
-
-    def _refuse_times(self, cells: pl.Series, column: str, first: int) -> None:
-        """Refuse times none of which can be read, unless all are missing; ``first`` is the row of the first."""
-        if (wrong := unread_time(cells, column)) is not None:
-            raise self._row_error(wrong[1], first + wrong[0])
 
     def _row_error(self, why: str, row: int) -> InputError:
         """Return what is wrong with a row, counted from 0."""

@@ -231,7 +231,7 @@ def _explained(log: LogReader, phase: str | None) -> Iterator[None]:
         yield
     except (EstimateError, InputError) as refusal:
         why = refusal.words if isinstance(refusal, InputError) else (f"{log.name}: ", *refusal.words)
-        if log.interrupted:
+        if log.source.interrupted:
             after = "; let the stream run for longer"
             raise Stopped(("interrupted, and nothing is written: ", *why, after)) from None
         if isinstance(refusal, EstimateError):

@@ -175,7 +175,7 @@ def characterise_readings(
         if rate is None:
             where[TIME] = _time_column(log, named)
         numbers = read_columns(log, where)
-    said = [*log.remarks, *log.clock_remarks]
+    said = [*log.remarks, *log.clock.remarks]
     if scale.unit is None and not header.units and (unit := _unit_at_rest(numbers.of(channels))):
         scale = scale_of(unit)
         said.append(f"the unit is {unit} if these are accelerations: at rest they are as long as gravity")

@@ -117,7 +117,7 @@ def probe_log(path: str, progress: Progress | None = None) -> LogFacts:
             bad_rows=record.faulty,
             missing=_missing(record, axes),
             rate=rate,
-            remarks=[*log.clock_remarks, *log.remarks],
+            remarks=[*log.clock.remarks, *log.remarks],
             length=significant(float(np.median(lengths)), 5) if len(lengths) else None,
             attitudes=len(turned),
             different=len(kinds),
@@ -172,7 +172,7 @@ def _layout(log: LogReader) -> dict[str, Any]:
         "fields by": how,
         "decimal": "comma" if found.decimal == "," else None,
         "clock in front": "yes" if found.has_clock else None,
-        "encoding": log.encoding,
+        "encoding": log.text.encoding,
     }
 
 

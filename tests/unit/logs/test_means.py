@@ -192,6 +192,6 @@ def test_the_time_of_a_csv_log_keeps_what_it_holds_in_columns_with_types() -> No
         ("2026-05-01 12:00", "noon"): [datetime(2026, 5, 1, 12, tzinfo=UTC), None],
     }.items():
         data = "".join(f"{cell},1\n" for cell in cells).encode()
-        block = RowGrammar(dialect, (0,), 0, (0, 1)).parse(data)
+        block = RowGrammar(dialect, (0,), 0, (0, 1)).by_line(data)
         frame = ColumnTypes(dialect, (0,), 0, file="log.csv").typed(block).framed()
         assert frame["time"].to_list() == typed

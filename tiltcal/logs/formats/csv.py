@@ -1,17 +1,16 @@
 """CSV and other text: a log read block by block, whatever its size, and written with columns behind its own.
 
-:mod:`tiltcal.dialect` finds how it is written, :mod:`tiltcal.logs.formats.csv_rows` defines a row.
+:mod:`tiltcal.logs.formats.csv_text` reads its lines, :mod:`tiltcal.dialect` finds how they are written, and
+:mod:`tiltcal.logs.formats.csv_rows` defines a row.
 """
 
 from __future__ import annotations
 
 from bisect import bisect_right
-from codecs import BOM_UTF16_BE, BOM_UTF16_LE, IncrementalDecoder, getincrementaldecoder
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
-from hashlib import sha256
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
@@ -19,8 +18,8 @@ import numpy as np
 from tiltcal.dialect import Dialect, dialect_of, quoted, split
 from tiltcal.errors import InputError
 from tiltcal.files.moments import LEAST_SECONDS
-from tiltcal.logs.formats.binary import refuse_binary
 from tiltcal.logs.formats.csv_rows import UTF8_BOM, CsvBlock, RowGrammar
+from tiltcal.logs.formats.csv_text import CsvText
 from tiltcal.logs.log import LogBlock, LogReader, LogSource, LogWriter, Table
 from tiltcal.logs.numbers_and_times import numbers
 from tiltcal.logs.streams import refusing
@@ -30,9 +29,6 @@ if TYPE_CHECKING:
     import polars as pl
 
 _BLOCK = 6 << 20
-_TOP = 1 << 16  # bytes in which the dialect is looked for
-_LONGEST_ROW = 16 << 20
-_UTF16 = ("utf-16-le", "utf-16-be")
 _LATEST = 8_210_266_876_799_999  # ms since 1970 at the end of the year 262142, where the engine's calendar ends
 _MOST_DROPPED = 1 << 16  # lines between rows whose places are kept, for the line of a row in a message
 _LOSES_ITSELF = r"^\s*[+-]?(?:0\d|\d{16})"
@@ -45,29 +41,17 @@ class CsvReader(LogReader):
     """A log in CSV, or in any other text that has a dialect, read by ``block`` bytes at a time.
 
     ``header`` is the line of names as it stands, byte-order mark and all, without its line end, or the names between
-    separators where the log has no such line. ``line_end`` is LF or CRLF, as the first line has it.
+    separators where the log has no such line.
     """
 
     def __init__(self, source: LogSource, *, block: int = _BLOCK) -> None:
         super().__init__(source)
-        self._block, self._line = block, 1
-        self._digest = sha256() if source.size is None else None  # a pipe gives its bytes once
-        self._decoder: IncrementalDecoder | None = None
-        self._charset, self._replaced = "utf-8", 0
+        self.reads_ahead = source.size is not None and source.size > block
+        self.text = CsvText(source, block)
         self._between: Counter[str] = Counter()
         self._dropped: list[int] = []
-        top = self._top()
-        cut = top.rfind(b"\n", 0, _TOP) + 1
-        whole = top[:cut] if top.count(b"\n", 0, cut) > 1 else top[: top.rfind(b"\n") + 1] or top
-        marked = whole.startswith(UTF8_BOM)
-        self._charset = charset_of(whole)
-        lines = [line.removesuffix("\r") for line in self._in_utf8(whole).decode().removeprefix("\ufeff").split("\n")]
-        lines = lines[:-1] if whole.endswith(b"\n") else lines
-        self.line_end = "\r\n" if top.partition(b"\n")[0].endswith(b"\r") and b"\n" in top else "\n"
-        self._replaced = 0  # these lines come again
-        self._refuse_other_text(lines)
-        self.dialect = self._dialect(lines)
-        found = self.dialect
+        lines, marked = self.text.first, self.text.marked
+        self.dialect = found = self._dialect(lines)
         self.header_line = 1 + (found.first if found.named is None else found.named)
         self.names = found.column_names
         if not found.has_header:
@@ -83,78 +67,26 @@ class CsvReader(LogReader):
         self.header = UTF8_BOM * (marked and found.named == 0) + header.encode()
         before = [line for row, line in enumerate(found.head) if row != found.named and line.strip()]
         self.notes = {"header": "\n".join(before)} if before else {}
-        place = 0
-        for _ in range(found.first):
-            place = top.find(b"\n", place) + 1 or len(top)
-        self._pending = top[place:] if found.first else top.removeprefix(UTF8_BOM)
-        self._line += found.first
+        self.text.skip(found.first)
 
     @property
     def sha256(self) -> str | None:
-        return super().sha256 if self._digest is None else self._digest.hexdigest()
-
-    @property
-    def encoding(self) -> str:
-        """The encoding of the log."""
-        return {"cp1252": "Windows-1252", "utf-8": "UTF-8"}[self._charset] if self._decoder is None else "UTF-16"
+        return self.text.sha256 or super().sha256
 
     def unit(self, column: int) -> str | None:
         return self.dialect.units.get(self.dialect.names[column]) or super().unit(column)
-
-    def read(self, size: int) -> bytes:
-        """Return so many bytes of the file, fewer at its end; of UTF-16 in UTF-8."""
-        data = self.source.stream.read(size)
-        self.bytes_read += len(data)
-        if self._digest is not None:
-            self._digest.update(data)
-        if self._decoder is None:
-            return data
-        text = self._decoder.decode(data, final=not data)
-        while data and not text and (more := self.source.stream.read(size)):  # half of a character is no end
-            text = self._decoder.decode(more)
-        return text.encode(errors="replace")
-
-    def _top(self) -> bytes:
-        """Read the first lines, and what comes with them."""
-        data = b""
-        while (len(data) < _TOP or data.count(b"\n") < 2) and (more := self.read(self._block)):
-            if not data:
-                refuse_binary(more, self.name)
-                if (encoding := _wide(more)) is not None:
-                    self._decoder = getincrementaldecoder(encoding)("replace")
-                    more = self._decoder.decode(more).removeprefix("\ufeff").encode(errors="replace")
-            data += more
-            pending = data[data.rfind(b"\n") + 1 :]
-            if len(pending) > _LONGEST_ROW:
-                self._line = 1 + data.count(b"\n")
-                self._refuse_endless(pending)
-        if not data.removeprefix(UTF8_BOM).strip():
-            raise InputError("the log is empty", file=self.name)
-        return data
-
-    def _refuse_other_text(self, lines: Sequence[str]) -> None:
-        """Refuse what has no lines of text."""
-        if "\0" in lines[0]:
-            raise self._error("this is no CSV text: save the log as CSV in UTF-8")
-        if "\r" in lines[0]:
-            raise self._error("the lines end in CR alone: save the log with LF or CRLF")
 
     def _dialect(self, lines: Sequence[str]) -> Dialect:
         try:
             dialect = dialect_of(lines)
         except ValueError as failure:
-            raise self._error(f"{failure}: is this a log?") from None
+            raise self.text.error(f"{failure}: is this a log?") from None
         named = [name for name in dialect.names if name]
-        self._line = 1 + (dialect.named or 0)
         if len({*named}) < len(named):
             twice = next(name for place, name in enumerate(named) if name in named[:place])
-            raise self._error(f"the header names column {twice!r} twice: rename one of them")
-        self._line = 1
+            why = f"the header names column {twice!r} twice: rename one of them"
+            raise InputError(why, file=self.name, line=1 + (dialect.named or 0))
         return dialect
-
-    @property
-    def _reads_ahead(self) -> bool:
-        return self.source.size is not None and self.source.size > self._block
 
     def _blocks(self, columns: Sequence[int], time: int | None, frames: bool) -> Iterator[LogBlock]:
         if not frames:
@@ -167,10 +99,11 @@ class CsvReader(LogReader):
     def _parsed(self, grammar: RowGrammar) -> Iterator[CsvBlock]:
         """Yield the rows, block after block."""
         rows = torn = 0
-        for data, unended in self._lines():
-            block, places = self._rows_of(grammar, self._in_utf8(data), unended)
+        for data, unended in self.text.lines():
+            self.bytes_read = self.text.bytes_read
+            block, places = self._rows_of(grammar, self.text.in_utf8(data), unended)
             for row in sorted(block.faults):
-                line = self._line + (row if places is None else places[row])
+                line = self.text.line + (row if places is None else places[row])
                 self._refuse_other_header(block, row, line)
                 if row not in block.torn and not self.source.skip_bad_rows:
                     raise InputError(block.faults[row], file=self.name, line=line)
@@ -180,11 +113,11 @@ class CsvReader(LogReader):
                 behind = np.setdiff1d(np.arange(lines), places) - np.arange(lines - count)
                 self._dropped += (rows + behind).tolist()
             rows, torn = rows + count, torn + len(block.torn)
-            self._line += lines
+            self.text.line += lines
             if count:
                 yield block
         if not rows:
-            raise self._error("the log has a header and no rows")
+            raise self.text.error("the log has a header and no rows")
         self._remark(torn)
 
     def _rows_of(self, grammar: RowGrammar, data: bytes, unended: bool) -> tuple[CsvBlock, Sequence[int] | None]:
@@ -228,67 +161,11 @@ class CsvReader(LogReader):
             self.remarks.append(f"{lines} between the rows left out: {kinds}")
         if torn:
             self.remarks.append(f"{counted(torn, 'row')} cut short while it was written: kept as missing")
-        if self._replaced:
-            self.remarks.append(f"{counted(self._replaced, 'byte')} outside UTF-8: replaced by \ufffd")
-
-    def _lines(self) -> Iterator[tuple[bytes, bool]]:
-        """Whole lines, and whether they are the very last one, which had no end."""
-        pending, more = b"", self._pending or self.read(self._block)
-        while more:
-            if cut := more.rfind(b"\n") + 1:
-                yield b"".join((pending, memoryview(more)[:cut])), False
-                pending = more[cut:]
-            else:
-                pending += more
-            self._refuse_endless(pending)
-            more = self.read(self._block)
-        if pending and not self.interrupted:
-            yield pending + b"\n", True
-
-    def _in_utf8(self, data: bytes) -> bytes:
-        """Return lines in UTF-8 with LF, where a byte that is none in the encoding of the log is a U+FFFD."""
-        if not data.isascii():
-            try:
-                data = data if self._charset == "utf-8" and data.decode() else data.decode(self._charset).encode()
-            except UnicodeDecodeError:
-                text = data.decode(self._charset, errors="replace")
-                self._replaced += text.count("\ufffd") - data.count("\ufffd".encode())
-                data = text.encode()
-        return data.replace(b"\r\n", b"\n") if b"\r" in data else data
-
-    def _refuse_endless(self, pending: bytes) -> None:
-        """Stop at what is no log, before it fills the memory."""
-        if len(pending) > _LONGEST_ROW:
-            raise self._error(f"the row does not end within {_LONGEST_ROW >> 20} MB: is this a CSV log?")
-
-    def _error(self, message: str) -> InputError:
-        return InputError(message, file=self.name, line=self._line)
+        if replaced := self.text.replaced:
+            self.remarks.append(f"{counted(replaced, 'byte')} outside UTF-8: replaced by \ufffd")
 
     def _row_error(self, why: str, row: int) -> InputError:
         return InputError(why, file=self.name, line=1 + self.dialect.first + row + bisect_right(self._dropped, row))
-
-
-def charset_of(head: bytes) -> str:
-    """Return the encoding of text without a mark, by its first lines: UTF-8, else Windows-1252.
-
-    One byte that is damaged, among characters that are UTF-8, does not change that they are.
-    """
-    try:
-        head.decode()
-    except UnicodeDecodeError:
-        text = head.decode(errors="replace")
-        beyond = sum(character > "\x7f" for character in text)
-        return "utf-8" if beyond > 2 * text.count("\ufffd") else "cp1252"
-    return "utf-8"
-
-
-def _wide(data: bytes) -> str | None:
-    """Return which UTF-16 data are in, by their mark or by the zeros in every other byte; None where in none."""
-    if data.startswith((BOM_UTF16_LE, BOM_UTF16_BE)):
-        return _UTF16[data.startswith(BOM_UTF16_BE)]
-    some = data[: 1 << 10]
-    low, high = some[1::2].count(0), some[::2].count(0)
-    return _UTF16[high > low] if len(some) > 3 and max(low, high) > len(some) // 4 > min(low, high) * 8 else None
 
 
 class ColumnTypes:
@@ -403,9 +280,9 @@ class CsvWriter(LogWriter):
         log = cast("CsvReader", self.log)
         if first:
             added = "".join(f"{log.dialect.separator}{name}" for name in self.added)
-            self.sink.write(log.header + added.encode() + log.line_end.encode())
+            self.sink.write(log.header + added.encode() + log.text.line_end.encode())
             self.sink.flush()  # the engine writes to the file itself
-        self._write_csv(frame, quote_style="never", line_terminator=log.line_end)
+        self._write_csv(frame, quote_style="never", line_terminator=log.text.line_end)
 
     def _in_words(self, frame: pl.DataFrame, *, first: bool) -> None:
         self._write_csv(frame, include_header=first)

@@ -75,14 +75,6 @@ class RowGrammar:
     time: int | None = None
     texts: Sequence[int] = ()
 
-    def parse(self, data: bytes, *, unended: bool = False) -> CsvBlock:
-        """Parse whole lines in UTF-8, the last one with its line end; ``unended``: it had none in the file.
-
-        Nothing is raised: what breaks a rule is in ``faults``.
-        """
-        last = data.count(b"\n") - 1
-        return (None if unended else self.at_once(data)) or self.by_line(data, [last] * unended)
-
     def at_once(self, data: bytes) -> CsvBlock | None:
         """Parse rows that break no rule, as is seen without a look at single rows; None where one might.
 

@@ -47,16 +47,13 @@ class ParquetReader(LogReader):
             self._schema = self._scan.collect_schema()
             self.notes = {key: note for key, note in pl.read_parquet_metadata(path).items() if key != _OF_THE_ENGINE}
             self._rows = self._scan.select(pl.len()).collect().item()
+        self.reads_ahead = bool(self._rows > _ROWS)
         self.names = tuple(self._schema)
         if not self._rows:
             raise InputError("the log has columns and no rows", file=self.name)
 
     def has_times(self, name: str, beside: int) -> bool:
         return super().has_times(name, beside) and not self._schema[name].is_nested()
-
-    @property
-    def _reads_ahead(self) -> bool:
-        return bool(self._rows > _ROWS)
 
     def _blocks(self, columns: Sequence[int], time: int | None, frames: bool) -> Iterator[LogBlock]:
         done = 0

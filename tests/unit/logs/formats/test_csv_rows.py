@@ -134,7 +134,7 @@ class TestSkippedRows:
     def test_what_does_not_end_is_refused_before_it_fills_the_memory(
         self, content: bytes, line: int, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        monkeypatch.setattr("tiltcal.logs.formats.csv._LONGEST_ROW", 100)
+        monkeypatch.setattr("tiltcal.logs.formats.csv_text._LONGEST_ROW", 100)
         stream = io.BytesIO(content)
         with pytest.raises(InputError, match="does not end") as raised:
             list(CsvReader(LogSource(stream, "night.csv", "night.csv", skip_bad_rows=True), block=20).rows([1]))
@@ -160,7 +160,7 @@ class TestText:
         latin = ['time,x,y °\n20 °C,2,3\n"°",2,3\n'.encode("latin-1")]
         for content in (*self.CONTENTS.values(), *latin):
             door = log(content, block=block)
-            end = door.line_end.encode()
+            end = door.text.line_end.encode()
             rows = [line.encode() for rows in door.rows([1]) for line in rows.lines.to_list()]
             found = b"".join(line + end for line in (door.header, *rows))
             assert found == (content.decode("latin-1").encode() if content in latin else content)
@@ -278,7 +278,7 @@ def test_the_numbers_and_the_bad_rows_are_those_of_the_written_rule(seed: int) -
 def test_sound_rows_take_the_short_way(data: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delattr(RowGrammar, "by_line")
     monkeypatch.setattr(csv_rows, "_PIECE", 5)
-    found = RowGrammar(Dialect(STATION_COLUMNS), [2], texts=[1]).parse(data)
+    found = RowGrammar(Dialect(STATION_COLUMNS), [2], texts=[1]).at_once(data)
     (expected,), _ = readings_of(data.decode(), len(STATION_COLUMNS), [2])
     np.testing.assert_array_equal(found.values[2], expected)
     assert [text or "" for text in found.texts[1].to_list()] == [row[1] for row in cells_of(data.decode())]
