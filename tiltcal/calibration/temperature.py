@@ -31,14 +31,14 @@ from tiltcal.core.compensation import Compensated, Compensation
 from tiltcal.core.detection import TEMPERATURES
 from tiltcal.core.estimation.equations import BASE, HYSTERESIS, JIG, NOISE, PRIOR, TABLE, THERMOMETER
 from tiltcal.core.estimation.estimate import Estimate, estimate_jointly, met_twice
-from tiltcal.core.estimation.positions import Design, Observation
-from tiltcal.core.model import Array, Coefficients, Thermal, values, vector_of, with_vector
+from tiltcal.core.estimation.positions import Design
+from tiltcal.core.model import Array, Coefficients, Thermal, values, with_vector
 from tiltcal.core.ramp.fit import RampFit, fit_ramp
 from tiltcal.core.ramp.record import RampRecord, row_noise
 from tiltcal.core.rounding import outwards, plus_minus, round_to, significant
 from tiltcal.core.samples import SampleSummary
 from tiltcal.core.thermal_lag import LOG_SMOOTHING, ThermalLag
-from tiltcal.core.uncertain import TURN, Uncertain, central_differences, selection
+from tiltcal.core.uncertain import TURN, Uncertain, selection
 from tiltcal.errors import Argument, EstimateError
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.procedure import Positions, Ramp
@@ -125,24 +125,26 @@ def _left_out(sensors: Sequence[MeasuredSensor], procedure: Positions, bench: Be
         estimates = estimate_jointly([observed_sensor(sensor, procedure, bench) for sensor in rest])
         for observations, fitted in zip(observed, estimates, strict=True):
             seen = observations[number]
-            predicted, variance = _prediction(fitted, seen)
+            predicted, variance = _prediction(fitted.coefficients, fitted.uncertain, seen.gravity, seen.temperature)
             noise = np.where(seen.u > 0.0, seen.u, fitted.estimated_noise or 1.0)
             errors.append(seen.mean - predicted)
             variances.append(noise**2 + variance)
     return np.concatenate(errors), np.concatenate(variances)
 
 
-def _prediction(fitted: Estimate, position: Observation) -> tuple[Array, Array]:
-    """Return the readings that an estimate predicts in a position, unit, and the variances of the prediction."""
-    names, u = fitted.uncertain.names, fitted.uncertain.u
-    gravity, temperature = position.gravity[None], np.array([position.temperature], dtype=float)
-
-    def predicted(vector: Array) -> Array:
-        return np.asarray(with_vector(fitted.coefficients, names, vector).predict(gravity, temperature)[0])
-
-    at = vector_of(fitted.coefficients, names)
-    slopes = central_differences(predicted, at, u)
-    return predicted(at), np.einsum("ik,kl,il->i", slopes, fitted.uncertain.covariance, slopes)
+def _prediction(
+    coefficients: Coefficients, uncertain: Uncertain, gravity: Array, temperature: float | None = None
+) -> tuple[Array, Array]:
+    """Return the readings that coefficients predict in a position, unit, and the variances of the prediction."""
+    readings = coefficients.read(gravity[None], None if temperature is None else np.array([temperature]))
+    slopes = np.stack(
+        [
+            selection(uncertain.names, model.coefficients) @ reading.by_coefficient[0]
+            for model, reading in zip(coefficients.models, readings, strict=True)
+        ]
+    )
+    variances = np.einsum("ik,kl,il->i", slopes, uncertain.covariance, slopes)
+    return np.concatenate([reading.value for reading in readings]), variances
 
 
 def _hysteresis(calibration: CalibrationRecord, measurements: Sequence[Measurement]) -> dict[str, Hysteresis]:
@@ -299,17 +301,11 @@ def _reading_uncertainty(fit: RampFit, record: RampRecord, stated: float | None,
 def _require_attitude(base: CalibrationRecord, reading: Array, attitude: Measurement, jig: float) -> None:
     """Refuse readings, (channels,), in a stated attitude where the base reads another one."""
     own = replace(base.coefficients, mounting=None, thermal=None)
-    known, up = uncertain_coefficients(base.uncertainty, base.coefficients), np.array([attitude.gravity])
+    known = uncertain_coefficients(base.uncertainty, base.coefficients)
     known = known.named([name for name in known.names if name in values(own)])
-
-    def expected(vector: Array) -> Array:
-        return np.asarray(with_vector(own, known.names, vector).predict(up)[0])
-
-    at = vector_of(own, known.names)
-    slopes = central_differences(expected, at, known.u)
-    variance = np.einsum("ik,kl,il->i", slopes, known.covariance, slopes)
+    expected, variance = _prediction(own, known, np.array(attitude.gravity))
     size = np.linalg.norm(own.sensitivity, axis=1)
-    off, u = np.degrees(np.abs(reading - expected(at)) / size), np.hypot(np.degrees(np.sqrt(variance) / size), jig)
+    off, u = np.degrees(np.abs(reading - expected) / size), np.hypot(np.degrees(np.sqrt(variance) / size), jig)
     for channel, angle, limit in zip(own.channels, off.tolist(), np.maximum(FAR, DEVIATIONS * u), strict=True):
         if angle > limit:
             raise EstimateError(
@@ -413,10 +409,7 @@ def _sources(
     yield errors(NOISE, by_record, fit.covariance)
     if fit.loop_covariance.any():
         yield errors(HYSTERESIS, by_record, fit.loop_covariance)
-    readings = [
-        model.read(theta, gravity[None, :], np.zeros(1))
-        for model, theta in zip(coefficients.models, coefficients.vectors, strict=True)
-    ]
+    readings = coefficients.read(gravity[None, :])
     slope = np.stack([column[f"temperature.offset.{channel}.1"] for channel in design.channels], axis=1)
     signal = coefficients.predict(gravity[None, :])[0] - coefficients.offset
     yield errors(PRIOR, slope, np.diag((gain * signal) ** 2))

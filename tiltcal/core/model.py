@@ -110,11 +110,14 @@ class Coefficients:
 
     def predict(self, gravity: Array, temperature: Array | None = None) -> Array:
         """Compute the readings, (n, channels), for up, (n, 3), g, and temperatures, (n,), °C, else the reference."""
+        return np.stack([reading.value for reading in self.read(gravity, temperature)], axis=1)
+
+    def read(self, gravity: Array, temperature: Array | None = None) -> list[ModelReading]:
+        """Compute the reading of each channel with its derivatives; see :meth:`predict`."""
         up, dt = np.asarray(gravity, dtype=float), np.zeros(len(gravity))
         if self.thermal is not None and temperature is not None:
             dt = np.asarray(temperature, dtype=float) - self.thermal.reference
-        models = zip(self.models, self.vectors, strict=True)
-        return np.stack([model.read(theta, up, dt).value for model, theta in models], axis=1)
+        return [model.read(theta, up, dt) for model, theta in zip(self.models, self.vectors, strict=True)]
 
 
 @dataclass(frozen=True)
@@ -252,14 +255,16 @@ class ChannelModel:
             _multiply_by_powers(table[-self.nonlinearity :], a, a)
         if self.gain or self.nonlinearity:
             table[1:first] *= scale
-        value, by_temperature = theta[0] + scale * signal, np.zeros_like(signal)
-        if self.drift or self.gain:
-            second = first + self.drift
-            table[first:second], table[second : second + self.gain] = 1.0, signal
+        value, by_temperature, second = theta[0] + scale * signal, np.zeros_like(signal), first + self.drift
+        if self.drift:
+            table[first:second] = 1.0
             _multiply_by_powers(table[first:second], dt)
-            _multiply_by_powers(table[second : second + self.gain], dt)
             value += polynomial(drift, dt)
-            by_temperature = polynomial_slope(drift, dt) + polynomial_slope(gain, dt) * signal
+            by_temperature = polynomial_slope(drift, dt)
+        if self.gain:
+            table[second : second + self.gain] = signal
+            _multiply_by_powers(table[second : second + self.gain], dt)
+            by_temperature = by_temperature + polynomial_slope(gain, dt) * signal
         by_signal = np.broadcast_to(by_signal, signal.shape)
         return ModelReading(value, table.T, by_signal, by_temperature, to_axes, across)
 

@@ -185,44 +185,52 @@ class Equations:
         """Linearise about the unknowns; uncertain attitudes shorten gravity on average by a share, (settings,)."""
         shortened = np.broadcast_to(shortened, len(self.looser))
         up, by_angle, by_heading = self._directions(z, shortened)
-        warmer, lean, heading = z[self.errors[THERMOMETER]], self.errors[TABLE], self.errors[HEADING]
-        residuals, sigmas, values, columns = [], [], [], []
+        warmer, heading = z[self.errors[THERMOMETER]], self.errors[HEADING]
+        n, residuals, sigmas, values = len(self.names), [], [], []
         for channel in self.channels:
-            own, places, settings = channel.coefficients, channel.places, self.settings[channel.places]
+            places, settings = channel.places, self.settings[channel.places]
             dt = channel.dt + warmer[channel.temperatures] if len(warmer) else channel.dt
-            reading = channel.model.read(z[own], up[places] @ channel.orientation.T, dt)
+            reading = channel.model.read(z[channel.coefficients], up[places] @ channel.orientation.T, dt)
             by_gravity = reading.by_gravity @ channel.orientation
             residuals.append(channel.mean - reading.value)
             # The square of an angle shortens gravity, and scatters by as much as it does so on average.
             along = np.einsum("nj,nj->n", by_gravity, self.gravity[places]) * shortened[settings]
             sigmas.append(np.sqrt(bench[NOISE] * channel.u**2 + along**2))
             angle = np.einsum("nj,njk->nk", by_gravity, by_angle[places])
-            terms = [(reading.by_coefficient, np.arange(own.start, own.stop))]
-            terms.append((angle, self.errors[JIG].start + 2 * settings[:, None] + [0, 1]))
+            terms = [reading.by_coefficient, angle]
             if len(warmer):
-                terms.append(
-                    (reading.by_temperature[:, None], self.errors[THERMOMETER].start + channel.temperatures[:, None])
-                )
+                terms.append(reading.by_temperature[:, None])
             if self._shared.shape[2]:
-                shared = np.einsum("nj,njk->nk", angle, self._shared[places])
-                terms.append((shared, np.arange(self.errors[REFERENCE].start, self.errors[REFERENCE].stop)))
+                terms.append(np.einsum("nj,njk->nk", angle, self._shared[places]))
             if by_heading is not None:
                 rotations, per_heading = by_heading
-                terms.append((np.einsum("nj,njk->nk", angle, rotations[places]), np.arange(lean.start, lean.stop)))
+                terms.append(np.einsum("nj,njk->nk", angle, rotations[places]))
                 if heading.stop > heading.start:
-                    turn = np.sum(angle * per_heading[places], axis=1)[:, None]
-                    terms.append((turn, heading.start + settings[:, None]))
-            values.append(np.hstack([value for value, _ in terms]))
-            columns.append(np.hstack([np.broadcast_to(column, value.shape) for value, column in terms]))
-        n, weights = len(self.names), self.weights(bench)
+                    terms.append(np.sum(angle * per_heading[places], axis=1)[:, None])
+            values.append(np.hstack(terms))
+        weights = self.weights(bench)
         missing = self.stated_target - np.sum(self.stated_values * z[self.stated_columns], axis=1)
-        values += [self.stated_values, weights[n:, None]]
-        columns += [self.stated_columns, np.arange(n, self.unknowns)[:, None]]
         sigma = np.concatenate(sigmas)
         residual = np.concatenate([np.concatenate(residuals) / sigma, missing, -weights[n:] * z[n:]])
-        table = _padded(values)
+        table = _padded([*values, self.stated_values, weights[n:, None]])
         table[: len(sigma)] /= sigma[:, None]
-        return Linearised(residual, table, _padded(columns), self.unknowns, sigma)
+        return Linearised(residual, table, self.columns, self.unknowns, sigma)
+
+    @cached_property
+    def columns(self) -> Indices:
+        """The unknowns on which each equation depends, in the order of its derivatives, shape (equations, few)."""
+        errors, tables = self.errors, []
+        for channel in self.channels:
+            settings = self.settings[channel.places][:, None]
+            terms = [channel.coefficients, errors[JIG].start + 2 * settings + [0, 1]]
+            if errors[THERMOMETER].stop > errors[THERMOMETER].start:
+                terms.append(errors[THERMOMETER].start + channel.temperatures[:, None])
+            terms += [errors[REFERENCE], errors[TABLE]]
+            if errors[HEADING].stop > errors[HEADING].start:
+                terms.append(errors[HEADING].start + settings)
+            columns = [np.arange(term.start, term.stop) if isinstance(term, slice) else term for term in terms]
+            tables.append(np.hstack([np.broadcast_to(some, (len(settings), some.shape[-1])) for some in columns]))
+        return _padded([*tables, self.stated_columns, np.arange(len(self.names), self.unknowns)[:, None]])
 
     def unexplained(self, z: Array) -> Array:
         """Return measured minus modelled readings in the positions as set, shape (readings,), in the sensors' units.
@@ -348,5 +356,9 @@ class Equations:
 
 def _padded(tables: Sequence[NDArray[Number]]) -> NDArray[Number]:
     """Return tables of several widths in one, filled up with 0."""
-    width = max(table.shape[1] for table in tables)
-    return np.concatenate([np.pad(table, ((0, 0), (0, width - table.shape[1]))) for table in tables])
+    padded = np.zeros((sum(map(len, tables)), max(table.shape[1] for table in tables)), tables[0].dtype)
+    start = 0
+    for table in tables:
+        padded[start : start + len(table), : table.shape[1]] = table
+        start += len(table)
+    return padded
