@@ -17,20 +17,19 @@ from dataclasses import replace
 from typing import Literal
 
 from tiltcal.drivers.bus import SpiPort
-from tiltcal.drivers.registers import (
+from tiltcal.drivers.register_facts import (
     I2C,
     SPI,
     Field,
     Frame,
     Range,
-    RegisterPart,
-    RegisterSensor,
     Sampling,
     StartUp,
     Thermometer,
     VirtualFacts,
     Write,
 )
+from tiltcal.drivers.registers import RegisterPart, RegisterSensor
 from tiltcal.drivers.virtual import Tolerances
 
 COUNTING_ON = {"i": 0x80, "s": 0x40}

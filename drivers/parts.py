@@ -14,21 +14,20 @@ from dataclasses import replace
 from tiltcal.drivers.bus import SpiPort, check_data_line
 from tiltcal.drivers.bus.address import Address
 from tiltcal.drivers.model import in_words
-from tiltcal.drivers.registers import (
+from tiltcal.drivers.register_facts import (
     I2C,
     SPI,
     Field,
     Frame,
     Range,
-    RegisterPart,
     Registers,
-    RegisterSensor,
     Sampling,
     StartUp,
     Thermometer,
     VirtualFacts,
     Write,
 )
+from tiltcal.drivers.registers import RegisterPart, RegisterSensor
 from tiltcal.drivers.virtual import Tolerances
 from tiltcal.errors import BusError, DeviceFault
 

@@ -1,229 +1,42 @@
 """Parts with numbers in byte registers, on SPI or I2C: a row of facts, from which driver and virtual part are made.
 
-A :class:`RegisterPart` says where its numbers lie (:class:`Field`), what is written before it measures, and how it
-shows a new sample. The driver decodes by these facts and the virtual part encodes by them. What it does beyond them,
-such as a factory trim that a reset may lose, is a function in its row. The rows of tiltcal are in
-:mod:`tiltcal.drivers.parts`; a row of another package is a sensor model by an entry point.
+A :class:`RegisterPart` has the facts of :mod:`tiltcal.drivers.register_facts`, by which the driver decodes and the
+virtual part encodes. What it does beyond them, such as a factory trim that a reset may lose, is a function in its row.
+The rows of tiltcal are in :mod:`tiltcal.drivers.parts`; a row of another package is a sensor model by an entry point.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain
-from math import ceil, inf, sqrt
-from typing import Any, Literal, NamedTuple
+from math import ceil
+from typing import Any
 
-from tiltcal.drivers.bus import Bus, Link, SpiPort, check_data_line, require_length
+from tiltcal.drivers.bus import Bus, Link, check_data_line, require_length
 from tiltcal.drivers.bus.address import Address
 from tiltcal.drivers.bus.clock import Clock
 from tiltcal.drivers.model import Model, Reading, Sensor, deviation_within, in_words, typical_nonlinearity
-from tiltcal.drivers.virtual import HeldPose, Tolerances, Truth, VirtualPart
+from tiltcal.drivers.register_facts import (
+    SPI,
+    Field,
+    Frame,
+    Range,
+    Registers,
+    Sampling,
+    StartUp,
+    Thermometer,
+    VirtualFacts,
+    Write,
+)
+from tiltcal.drivers.virtual import HeldPose, Truth, VirtualPart
 from tiltcal.errors import Argument, BusError, DeviceFault
 
-Registers = Mapping[int, int]
-"""Contents by register."""
-
-PERIODS = 6
-"""Timeout for a sample, in sample periods."""
-POLLS = 4
-"""How often the status is read in a sample period."""
-
-ANY_PORT = SpiPort((0,), 10_000_000, 1_000_000)
-ANY_PART = Tolerances(offset=0.1, sensitivity=0.1)
-"""Of a part whose source states none."""
-
-NEAR_RATE = 0.01
-"""A rate is one of the part's if it is within this share of it."""
-
-BIT_SECONDS = {"s": 1 / 500_000, "i": 1 / 100_000}
-"""Of the virtual parts, by the letter of the bus."""
-
-SPI, I2C = "spi:///dev/spidev0.0", "i2c:///dev/i2c-1?address="
-"""Example addresses; the user must state the I2C address."""
-
-
-@dataclass(frozen=True, slots=True)
-class Field:
-    """A number in registers.
-
-    at, size: the first of its registers, and their number.
-    bits, shift: its bits, and the bits without a meaning below it.
-    order: whether the first register is the ``big`` or the ``little`` end.
-    signed: whether it is two's complement.
-    """
-
-    at: int
-    bits: int
-    size: int = 2
-    shift: int = 0
-    order: Literal["big", "little"] = "big"
-    signed: bool = True
-
-    def decode(self, registers: Registers) -> int:
-        """Return the number in the registers."""
-        raw = int.from_bytes(bytes(registers[self.at + place] for place in range(self.size)), self.order)
-        word = raw >> self.shift & (1 << self.bits) - 1
-        return word - (1 << self.bits) if self.signed and word >> self.bits - 1 else word
-
-    def encode(self, number: int) -> Registers:
-        """Return the registers that hold a number."""
-        raw = (number & (1 << self.bits) - 1) << self.shift
-        return dict(enumerate(raw.to_bytes(self.size, self.order), self.at))
-
-    @property
-    def rails(self) -> tuple[int, int]:
-        """The smallest and the largest number."""
-        return (-(1 << self.bits - 1), (1 << self.bits - 1) - 1) if self.signed else (0, (1 << self.bits) - 1)
-
-
-@dataclass(frozen=True, slots=True)
-class Thermometer:
-    """The thermometer of a part: °C = reference + (number - zero) / slope."""
-
-    field: Field
-    zero: float
-    slope: float
-    reference: float = 25.0
-
-    def celsius(self, registers: Registers) -> float:
-        """Return the temperature in the registers, °C."""
-        return self.reference + (self.field.decode(registers) - self.zero) / self.slope
-
-    def encode(self, celsius: float) -> Registers:
-        """Return the registers of a temperature, °C."""
-        low, high = self.field.rails
-        return self.field.encode(min(max(round(self.zero + self.slope * (celsius - self.reference)), low), high))
-
-
-class Range(NamedTuple):
-    """A measuring range: its code in the part's registers, count/g, and its rails where they are not the field's."""
-
-    code: int
-    counts_per_g: float
-    rails: tuple[int, int] | None = None
-
-
-class Write(NamedTuple):
-    """A register that is written, how long the part needs then (s), and whether it keeps what it is told.
-
-    rate, range: the weights of the codes of rate and range in the value, such as 0x10 of one in the upper four bits.
-    """
-
-    register: int
-    value: int
-    seconds: float = 0.0
-    kept: bool = True
-    rate: int = 0
-    range: int = 0
-
-
-@dataclass(frozen=True, kw_only=True)
-class Frame:
-    """How registers are asked for on the buses of a part.
-
-    shift, reading, writing: the first byte of an SPI frame is the register, shifted, with the bits that read or write.
-    by_command: whether that byte takes the place of the register on I2C.
-    several: bits of the first byte, by the letter of the bus, without which a burst repeats its first register.
-    count: -1 where the address counts down in a burst.
-    fastest_on_i2c: samples per second that the bus carries at 100 kHz.
-    """
-
-    shift: int = 0
-    reading: int = 0x80
-    writing: int = 0x00
-    by_command: bool = False
-    several: Mapping[str, int] = field(default_factory=dict)
-    count: int = 1
-    spi: SpiPort = ANY_PORT
-    fastest_on_i2c: float = inf
-
-
-@dataclass(frozen=True, kw_only=True)
-class StartUp:
-    """What comes before the first sample of a part.
-
-    identity, family: the first register of the part's identity, and the contents that are this part's; what models
-        have which.
-    begin: in place of the check of the identity and the reset, a function of the :class:`RegisterSensor`.
-    set_up: the writes before it measures; each group is read back before the next one begins.
-    settling, dropped: sample periods from the last of them to a sample; samples dropped then.
-    watched: a register that a reset changes from what is set up, compared before each sample, where no bit shows that.
-    """
-
-    identity: tuple[int, tuple[bytes, ...]] | None = None
-    family: Mapping[bytes, str] = field(default_factory=dict)
-    begin: Callable[[RegisterSensor], None] = lambda sensor: sensor.begin()
-    reset: Write | None = None
-    set_up: tuple[tuple[Write, ...], ...] = ()
-    settling: int = 0
-    dropped: int = 0
-    watched: int | None = None
-
-
-@dataclass(frozen=True, kw_only=True)
-class Sampling:
-    """The ranges and the rates of a part, and which of them is set.
-
-    ranges, rates: by the word of the option ``range``, such as ``2g``; code by samples per second.
-    range, rate: without an option of the address.
-    """
-
-    ranges: Mapping[str, Range]
-    rates: Mapping[float, int] = field(default_factory=dict)
-    range: str = "2g"
-    rate: float
-
-    @property
-    def counts_per_g(self) -> float:
-        """Nominal sensitivity, count/g."""
-        return self.ranges[self.range].counts_per_g
-
-    @property
-    def extent(self) -> float:
-        """Largest acceleration of the range, g."""
-        return float(self.range.removesuffix("g"))
-
-    @property
-    def in_words(self) -> dict[str, str]:
-        """Range, sensitivity and rate, for the operator."""
-        return {"range": f"±{self.extent:g} g, {round(self.counts_per_g, 1):g} count/g, {self.rate:g} samples/s"}
-
-
-@dataclass(frozen=True, kw_only=True)
-class VirtualFacts:
-    """What a part is like as it is delivered: facts of its virtual part, and of the spread between parts.
-
-    held: contents after power-up that are not 0.
-    asleep: a register, and its bits and their value while the part does not measure; without it, it always measures.
-    bank: the register that chooses a bank of registers, where the part has banks.
-    reset: a reset of the part that its driver does not use.
-    memory_fault: the status register and the bit of a fault of the part's memory.
-    limits, spread: as delivered; standard deviation of offset (g) and sensitivity (relative), where the limits do not
-        say it.
-    noise_density, corner, noise_counts: g/√Hz, and the bandwidth as a share of the rate; noise of a sample where no
-        source states a density, count.
-    nonlinearity: typical, relative to the range.
-    """
-
-    held: Registers = field(default_factory=dict)
-    asleep: tuple[int, int, int] | None = None
-    bank: int | None = None
-    reset: Write | None = None
-    memory_fault: tuple[int, int] | None = None
-    limits: Tolerances = ANY_PART
-    spread: tuple[float, float] | None = None
-    noise_density: float = 0.0
-    corner: float = 0.5
-    noise_counts: float = 1.0
-    nonlinearity: float = 0.0
-    not_modelled: tuple[str, ...] = ("the real tolerances and noise",)
-
-    def noise(self, sampling: Sampling) -> float:
-        """Return the standard deviation of a sample, count."""
-        density = sampling.counts_per_g * self.noise_density
-        return density * sqrt(sampling.rate * self.corner) if density else self.noise_counts
+PERIODS = 6  # timeout for a sample, in sample periods
+POLLS = 4  # how often the status is read in a sample period
+NEAR_RATE = 0.01  # a rate is one of the part's if it is within this share of it
+BIT_SECONDS = {"s": 1 / 500_000, "i": 1 / 100_000}  # of the virtual parts, by the letter of the bus
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -325,46 +138,13 @@ class RegisterPart:
         )
 
 
-class RegisterSensor(Sensor):
-    """The driver of a part.
-
-    The part is set up before the first sample and again after any error. After a reset it measures nothing until it is
-    set up, so a reset shows as samples that do not come.
-
-    remembered: what the functions of the row keep of the part from one set-up to the next.
-    """
+class RegisterLink:
+    """The registers of a part on its link."""
 
     part: RegisterPart
 
     def __init__(self, part: RegisterPart, link: Link, clock: Clock) -> None:
-        self.part = part
-        self.link = link
-        self._clock = clock
-        self._ready = False
-        self._writes = tuple(chain(*part.writes))
-        self.remembered: Any = None
-
-    def probe(self) -> Mapping[str, str]:
-        """Set the part up; return what it is and a sample as text. The errors are those of :meth:`read`."""
-        self._ready = False
-        return self.part.probe(self)
-
-    def read(self) -> Reading:
-        """Take the next sample: counts, and the temperature in °C where the part has a thermometer."""
-        part = self.part
-        ready, self._ready = self._ready, False
-        if not ready:
-            self._start()
-        if not self._sample_comes():
-            raise self._no_sample(ready)
-        if ready and (
-            wrong := self._unlike(write for write in self._writes if write.register == part.start_up.watched)
-        ):
-            raise self._was_reset(wrong)
-        registers = part.take(self)
-        self._ready = True
-        values = tuple(float(place.decode(registers)) for place in part.channels.values())
-        return Reading(values, part.thermometer.celsius(registers) if part.thermometer else None)
+        self.part, self.link, self.clock = part, link, clock
 
     def registers(self, first: int, count: int) -> dict[int, int]:
         """Return the registers of one transaction.
@@ -395,12 +175,57 @@ class RegisterSensor(Sensor):
     def write(self, write: Write) -> None:
         """Set a register."""
         self.link.exchange(bytes([self._command(write.register, self.part.frame.writing), write.value]))
-        self._clock.sleep(write.seconds)
+        self.clock.sleep(write.seconds)
 
     def _command(self, register: int, access: int) -> int:
         """Return the first byte of a transaction."""
         plain = self.link.letter == "i" and not self.part.frame.by_command
         return register if plain else register << self.part.frame.shift | access
+
+    def unlike(self, writes: Iterable[Write]) -> str:
+        """Return the registers with another content, as text."""
+        held = [(write, self.register(write.register)) for write in writes if write.kept]
+        return ", ".join(
+            f"register 0x{write.register:02X} holds 0x{content:02X}, not 0x{write.value:02X}"
+            for write, content in held
+            if content != write.value
+        )
+
+
+class RegisterSensor(RegisterLink, Sensor):
+    """The driver of a part.
+
+    The part is set up before the first sample and again after any error. After a reset it measures nothing until it is
+    set up, so a reset shows as samples that do not come.
+
+    remembered: what the functions of the row keep of the part from one set-up to the next.
+    """
+
+    def __init__(self, part: RegisterPart, link: Link, clock: Clock) -> None:
+        super().__init__(part, link, clock)
+        self._ready = False
+        self._writes = tuple(chain(*part.writes))
+        self.remembered: Any = None
+
+    def probe(self) -> Mapping[str, str]:
+        """Set the part up; return what it is and a sample as text. The errors are those of :meth:`read`."""
+        self._ready = False
+        return self.part.probe(self)
+
+    def read(self) -> Reading:
+        """Take the next sample: counts, and the temperature in °C where the part has a thermometer."""
+        part = self.part
+        ready, self._ready = self._ready, False
+        if not ready:
+            self._start()
+        if not self._sample_comes():
+            raise self._no_sample(ready)
+        if ready and (wrong := self.unlike(write for write in self._writes if write.register == part.start_up.watched)):
+            raise self._was_reset(wrong)
+        registers = part.take(self)
+        self._ready = True
+        values = tuple(float(place.decode(registers)) for place in part.channels.values())
+        return Reading(values, part.thermometer.celsius(registers) if part.thermometer else None)
 
     def reset(self) -> None:
         """Reset the part, where it has a reset."""
@@ -438,12 +263,12 @@ class RegisterSensor(Sensor):
         for group in self.part.writes:
             for write in group:
                 self.write(write)
-            if wrong := self._unlike(group):
+            if wrong := self.unlike(group):
                 raise BusError(
                     f"the {self.part.short} does not keep what is written to it ({wrong}): check MOSI or SDA, the "
                     "clock and the supply"
                 )
-        self._clock.sleep(self.part.start_up.settling / self.part.sampling.rate)
+        self.clock.sleep(self.part.start_up.settling / self.part.sampling.rate)
         for _ in range(self.part.start_up.dropped):
             if not self._sample_comes():
                 raise self._no_sample(was_ready=False)
@@ -457,17 +282,8 @@ class RegisterSensor(Sensor):
             # A line that is stuck high has this bit as well; the data show it.
             if self.register(status) & bit:
                 return True
-            self._clock.sleep(1.0 / self.part.sampling.rate / POLLS)
+            self.clock.sleep(1.0 / self.part.sampling.rate / POLLS)
         return False
-
-    def _unlike(self, writes: Iterable[Write]) -> str:
-        """Return the registers with another content, as text."""
-        held = [(write, self.register(write.register)) for write in writes if write.kept]
-        return ", ".join(
-            f"register 0x{write.register:02X} holds 0x{content:02X}, not 0x{write.value:02X}"
-            for write, content in held
-            if content != write.value
-        )
 
     def _was_reset(self, wrong: str) -> DeviceFault:
         return DeviceFault(
@@ -476,7 +292,7 @@ class RegisterSensor(Sensor):
         )
 
     def _no_sample(self, was_ready: bool) -> DeviceFault:
-        if was_ready and (wrong := self._unlike(self._writes)):
+        if was_ready and (wrong := self.unlike(self._writes)):
             return self._was_reset(wrong)
         return DeviceFault(
             f"no sample came for {PERIODS * (1.0 / self.part.sampling.rate):.3g} s: the {self.part.short} does not "
