@@ -97,7 +97,11 @@ def _contents(pages: list[str], *options: str) -> str:
 def add_versions(app: Sphinx, _: Exception | None) -> None:
     """Write what leads to the README, and beside the folder of this version the list of all that are there."""
     here = Path(app.outdir)
-    forward = '<!doctype html><meta http-equiv="refresh" content="0; url={}">\n'
+    forward = (
+        '<!doctype html><title>tiltcal</title><meta name="viewport" content="width=device-width">\n'
+        '<meta http-equiv="refresh" content="0; url={0}"><a href="{0}">The documentation of tiltcal</a>\n'
+    )
+    (here / "_static" / "webpack-macros.html").unlink(missing_ok=True)  # a template of the theme, no page
     (here / "index.html").write_text(forward.format(f"{root_doc}.html"), encoding="utf-8")
     (here.parent / "index.html").write_text(forward.format(f"{here.name}/"), encoding="utf-8")
     there = sorted((path.parent.name for path in here.parent.glob("*/index.html")), reverse=True)
