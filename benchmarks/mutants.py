@@ -3,12 +3,13 @@
 ::
 
     .venv/bin/python -m pip install cosmic-ray pytest-cov
-    .venv/bin/python benchmarks/mutants.py --map reached                  # runs the suite once; keep the two files
+    .venv/bin/python benchmarks/mutants.py --map reached [tests/unit ...]  # runs the suite once; keep the two files
     .venv/bin/python benchmarks/mutants.py --with reached --seed 1 --count 120 --minutes 60
 
 A place is drawn first and then one of the changes that cosmic-ray has for it, so that no place counts more because more
-can be done there. Each change runs in a copy, against the tests that reach its function (outside of functions: its
-module), the quickest first and as many as take two minutes, and stops at the first failure. What survives is printed.
+can be done there. Each change runs in a copy, against the tests that reach its line (outside of functions: its module,
+and the table of thresholds), the quickest first and as many as take 40 seconds, and stops at the first failure. A test
+that fails without the change too is left out. What survives is printed. Processes that a test starts are not followed.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ import sys
 import tempfile
 import time
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from importlib import import_module
 from itertools import accumulate
 from pathlib import Path
@@ -38,9 +39,9 @@ PARTS = ("tiltcal", "drivers", "procedures", "tests", "fixtures", "docs", "examp
 PYTEST = (sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider")
 
 FAILED = "failed.txt"
-LONGEST = 600.0
+LONGEST = 300.0
 """Seconds for the tests of one change; with more it is unclear."""
-SECONDS = 120.0
+SECONDS = 40.0
 """Of the tests that a change is run against, by their times when the map was recorded."""
 LOADED = (
     "click",
@@ -53,6 +54,8 @@ LOADED = (
     "scipy.signal",
     "yaml",
 )
+TABLE = "tests/project/test_thresholds.py"
+"""It reads the constants of the product, and no coverage shows it."""
 LEFT_OUT = ("Variable", "RemoveDecorator")
 """Operators that make another program rather than a slip."""
 SENSIBLE = {"Add": "Sub", "Sub": "Add", "Mul": "Div", "Div": "Mul", "FloorDiv": "Div", "Mod": "FloorDiv"}
@@ -108,32 +111,35 @@ def annotated(text: str) -> list[tuple[tuple[int, int], tuple[int, int]]]:
 
 
 class Reach:
-    """Which tests reach a function, from the coverage and the times of one run of the suite."""
+    """Which tests reach a line, from the coverage and the times of one or more runs of the suite."""
 
-    def __init__(self, stem: str) -> None:
+    def __init__(self, stems: Sequence[str]) -> None:
         from coverage import CoverageData
 
-        self._data = CoverageData(f"{stem}.coverage")
-        self._data.read()
-        self._files = {one.rpartition("tiltcal/")[2]: one for one in self._data.measured_files()}
+        self._data = CoverageData(no_disk=True)
         self._seconds: dict[str, float] = {}
-        for case in ElementTree.parse(f"{stem}.xml").iter("testcase"):
-            self._seconds[f"{case.get('classname')}.{case.get('name')}"] = float(case.get("time") or 0.0)
+        for stem in stems:
+            one = CoverageData(f"{stem}.coverage")
+            one.read()
+            self._data.update(one)
+            for case in ElementTree.parse(f"{stem}.xml").iter("testcase"):
+                self._seconds[f"{case.get('classname')}.{case.get('name')}"] = float(case.get("time") or 0.0)
 
     def tests(self, root: Path, place: Place) -> list[str]:
-        """Return the tests that reach the function of a place, the quickest first."""
-        file = place.file.removeprefix("tiltcal/") if place.file.startswith("tiltcal/") else place.file
-        measured = self._files.get(file)
+        """Return the tests that reach the line of a place, the quickest first, or those of its function."""
+        measured = next((one for one in self._data.measured_files() if one.endswith(f"/{place.file}")), None)
         if measured is None:
             return []
         contexts = self._data.contexts_by_lineno(measured)
-        first, last = function_of((root / place.file).read_text(encoding="utf-8"), place.line)
-        names = {name.partition("|")[0] for line in range(first, last + 1) for name in contexts.get(line, ())}
-        quickest = sorted((name for name in names if "::" in name), key=self._time)
+        body = function_of((root / place.file).read_text(encoding="utf-8"), place.line)
+        names: set[str] = set()
+        for first, last in ((place.line, place.line), body):
+            reached = (name.partition("|")[0] for line in range(first, last + 1) for name in contexts.get(line, ()))
+            names = names or {name for name in reached if "::" in name}
+        quickest = sorted(names, key=self._time)
         until = accumulate(map(self._time, quickest))
-        return [
-            name for name, seconds in zip(quickest, until, strict=True) if seconds <= SECONDS or name == quickest[0]
-        ]
+        chosen = [name for name, so_far in zip(quickest, until, strict=True) if so_far <= SECONDS]
+        return [*([TABLE] if body[0] == 1 else []), *(chosen or quickest[:1])]
 
     def _time(self, test: str) -> float:
         path, _, name = test.partition("::")
@@ -160,22 +166,26 @@ def copied(root: Path, folder: str) -> dict[str, str]:
             shutil.copytree(source, goal, symlinks=True, ignore=ignored)
         elif source.exists():
             shutil.copy(source, goal)
-    return {**os.environ, "PYTHONPATH": folder, "PYTHONDONTWRITEBYTECODE": "1"}
+    kept = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
+    return {**kept, "PYTHONPATH": folder}
 
 
-def record(stem: str) -> int:
+def record(stem: str, tests: Sequence[str]) -> int:
     """Run the suite once with coverage by test; keep which tests reach what, and their times."""
     options = (
         "-n",
         "2",
         "--cov=tiltcal",
+        "--cov=drivers",  # a link leads there
         "--cov-context=test",
         "--cov-report=",
         f"--junitxml={Path(stem).resolve()}.xml",
     )
     with tempfile.TemporaryDirectory() as folder:
         environment = copied(ROOT, folder) | {"COVERAGE_FILE": f"{Path(stem).resolve()}.coverage"}
-        return subprocess.run([*PYTEST, *options, "--ignore=tests/project"], cwd=folder, env=environment).returncode
+        return subprocess.run(
+            [*PYTEST, *options, "--ignore=tests/project", *tests], cwd=folder, env=environment
+        ).returncode
 
 
 def run(options: argparse.Namespace) -> int:
@@ -204,20 +214,25 @@ def run(options: argparse.Namespace) -> int:
                 continue
             path.write_text(changed, encoding="utf-8")
             tests = reach.tests(ROOT, place)
-            outcome = outcome_of(tests, folder, environment) if tests else "survives"
-            path.write_text(text, encoding="utf-8")
-            if outcome == "found":
+            while (outcome := outcome_of(tests, folder, environment) if tests else "survives") == "found":
                 failed = Path(folder, FAILED).read_text(encoding="utf-8") if Path(folder, FAILED).exists() else tests[0]
-                if outcome_of([failed], folder, environment) != "survives":
-                    raise SystemExit(f"{failed} fails without a change")
+                shutil.copy2(ROOT / place.file, path)
+                if outcome_of([failed], folder, environment) == "survives":
+                    break
+                print(f"{failed} fails without a change", flush=True)
+                tests = [name for name in tests if name != failed and not failed.startswith(f"{name}::")]
+                path.write_text(changed, encoding="utf-8")
+            shutil.copy2(ROOT / place.file, path)  # with its time, by which Python knows what it has compiled
             counted[outcome] += 1
             lines = zip(text.splitlines(), changed.splitlines(), strict=False)
             old, new = next(((a.strip(), b.strip()) for a, b in lines if a != b), ("", ""))
             said = f"{number} {outcome} ({len(tests)} tests) {place.file}:{place.line}"
-            print(said if outcome == "found" else f"{said}\n    {old}\n    {new}", flush=True)
+            print(f"{said} {failed}" if outcome == "found" else f"{said}\n    {old}\n    {new}", flush=True)
     found, survivors = counted["found"], counted["survives"]
-    minutes = (time.monotonic() - began) / 60.0
-    print(f"seed {options.seed}: {found} of {found + survivors} found, {minutes:.0f} minutes")
+    minutes, spent = (time.monotonic() - began) / 60.0, sum(os.times()[:4]) / 60.0
+    print(
+        f"seed {options.seed}: {found} of {found + survivors} found, {minutes:.0f} minutes, {spent:.0f} of a processor"
+    )
     return survivors
 
 
@@ -242,8 +257,8 @@ def outcome_of(tests: list[str], folder: str, environment: dict[str, str]) -> st
         os.setsid()
         os.chdir(folder)
         os.environ.update(environment)
+        sys.dont_write_bytecode = False
         sys.path.insert(0, folder)
-        sys.dont_write_bytecode = True
         for stream in (1, 2):
             os.dup2(os.open(os.devnull, os.O_WRONLY), stream)
         options = ["-q", "-x", "-p", "no:cacheprovider", "--timeout=120", f"@{names}"]
@@ -263,12 +278,13 @@ def main() -> int:
     """Record the map, or draw and run changes."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--map", metavar="STEM", help="run the suite once, and write STEM.coverage and STEM.xml")
-    parser.add_argument("--with", dest="reach", metavar="STEM", help="what --map wrote")
+    parser.add_argument("tests", nargs="*", help="with --map: the tests to run, all without any")
+    parser.add_argument("--with", dest="reach", metavar="STEM", action="append", default=[], help="what --map wrote")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--count", type=int, default=120)
     parser.add_argument("--minutes", type=float, default=60.0)
     options = parser.parse_args()
-    return record(options.map) if options.map else run(options)
+    return record(options.map, options.tests) if options.map else run(options)
 
 
 if __name__ == "__main__":

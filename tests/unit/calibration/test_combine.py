@@ -195,7 +195,8 @@ def test_an_offset_whose_level_nobody_stated_gives_way_where_it_contradicts() ->
     found = combine([SCALE, shifted(run.record, (9.0, 0.0))])
     assert found.offset == pytest.approx(SCALE.offset, abs=0.3)
     assert found.coefficients.thermal.drift[0, 0] == pytest.approx(0.3, abs=0.02)
-    assert any("does not state how level it was" in note for note in found.fit.notes)
+    of_whom = [note.split()[0] for note in found.fit.notes if "does not state how level it was" in note]
+    assert of_whom == ["two-temperature"]  # the other states its jig
 
 
 def test_a_run_at_level_with_the_nominal_sensitivity_goes_with_a_whole_matrix() -> None:
