@@ -261,7 +261,7 @@ def outcome_of(tests: list[str], folder: str, environment: dict[str, str]) -> st
         sys.path.insert(0, folder)
         for stream in (1, 2):
             os.dup2(os.open(os.devnull, os.O_WRONLY), stream)
-        options = ["-q", "-x", "-p", "no:cacheprovider", "--timeout=120", f"@{names}"]
+        options = ["-q", "-x", "-p", "no:cacheprovider", "--timeout=40", f"@{names}"]
         os._exit(int(pytest.main(options, plugins=[FirstFailure(Path(folder, FAILED))])))
     until = time.monotonic() + LONGEST
     while time.monotonic() < until:
