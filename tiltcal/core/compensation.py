@@ -90,6 +90,59 @@ class KernelChunk:
     share: Array | float = 1.0  # of the variance of a single reading: 1 over the number of which a row is the mean
 
 
+class Bounds:
+    """The limits of a calibration as rows are compared with them: lengths of gravity, its components, and readings."""
+
+    def __init__(self, limits: Limits, channels: tuple[str, ...], axes: tuple[str, ...]) -> None:
+        length = LENGTH_TOLERANCE if limits.length is None else limits.length
+        self._squares = VANISHES**2, inf
+        if isfinite(length):
+            self._squares = max(1.0 - length, SHORTEST) ** 2 - _ROUNDING, min(1.0 + length, LONGEST) ** 2 + _ROUNDING
+        self._rails = {channels.index(name): rails for name, rails in limits.reading.items() if name in channels}
+        self._reach = {
+            axes.index(axis): (_sine_of_limit(low, -1), _sine_of_limit(high, +1))
+            for axis, (low, high) in limits.tilt.items()
+            if axis in axes
+        }
+        self._cone = None
+        if axes == AXES and limits.directions is not None:
+            self._reach = {}
+            if not isinstance(limits.directions, str):
+                self._cone = Cone(limits.directions)
+
+    def judge_length(self, square: Array, out: Compensated) -> None:
+        """Mark rows in which gravity is not 1 g long, and blank their angles where it is no gravity at all."""
+        inside = (square >= self._squares[0]) & (square <= self._squares[1])
+        if inside.all():
+            return
+        mark(out, ~inside, flags.SUSPECT, flags.GRAVITY_LENGTH)
+        lost = ~inside & ~((square >= SHORTEST**2 - _ROUNDING) & (square <= LONGEST**2 + _ROUNDING))
+        mark(out, lost, flags.FAIL, flags.GRAVITY_LENGTH)
+        mark(out, square <= VANISHES**2, flags.FAIL, flags.NO_DIRECTION)
+        out.angles[lost] = np.nan
+
+    def judge_tilt(self, own: Array, out: Compensated) -> None:
+        """Mark rows that tilt a sensor axis further than the calibration covers, or lie in another direction."""
+        for axis, (low, high) in self._reach.items():
+            argument = own[axis]
+            measured = np.abs(argument) <= CLIP_LIMIT + _ROUNDING
+            mark(out, measured & ((argument < low) | (argument > high)), flags.SUSPECT, flags.TILT_RANGE)
+        if self._cone is not None:
+            mark(out, ~self._cone.inside(own), flags.SUSPECT, flags.TILT_RANGE)
+
+    def judge_readings(self, u: Array, out: Compensated) -> None:
+        """Mark readings at the rail, and blank the rows that have a reading which is no number."""
+        for channel, (low, high) in self._rails.items():
+            mark(out, (u[channel] <= low) | (u[channel] >= high), flags.FAIL, flags.RAIL)
+        finite = np.isfinite(u).all(axis=0)
+        if finite.all():
+            return
+        missing = ~finite
+        out.flag[missing] = flags.MISSING
+        out.reason[missing] = flags.NOT_A_NUMBER
+        out.gravity[missing] = out.angles[missing] = np.nan
+
+
 class Compensation:
     """One sensor's calibration, ready to be applied to any number of rows.
 
@@ -107,8 +160,7 @@ class Compensation:
     It reports the ``axes`` of the sensor, without z where two channels measure x and y. ``inverse``, (axes, channels),
     takes the signal to them, g/unit; ``coupling``, (2,), is what a hidden g_z adds to x and y; ``rotation``, (3, 3),
     takes the sensor's frame to the application's. A g_z that two channels do not see is solved for where ``solves_z``;
-    the mounting turns such a sensor over where ``upside_down``, and ``on_edge`` by more than 45° from both. ``reach``
-    is the range of each axis by its place, as components of gravity, g; ``temperatures`` the calibrated range, °C.
+    the mounting turns such a sensor over where ``upside_down``, and ``on_edge`` by more than 45° from both.
     ``columns`` are the names of what :meth:`table` gives, of which ``angles`` are some.
     """
 
@@ -129,9 +181,7 @@ class Compensation:
         if first_order and channels != 2:
             raise EstimateError(f"the first-order compensation is for two channels; this sensor has {channels}")
 
-        self._offset = coefficients.offset
-        self._coefficients = coefficients
-        self._thermal = coefficients.thermal
+        self._coefficients, self._offset, self._thermal = coefficients, coefficients.offset, coefficients.thermal
         square = sensitivity[:, [own.index(axis) for axis in self.axes]]
         self.inverse = (
             _first_order_inverse(square, coefficients.channels, self.axes) if first_order else _inverse(square)
@@ -150,22 +200,8 @@ class Compensation:
         facing = 1.0 if self.rotation is None else float(self.rotation[2, 2])
         self.upside_down = facing < _OVER
         self.on_edge = self.solves_z and abs(facing) < _EDGE - _ROUNDING
-        length = LENGTH_TOLERANCE if limits.length is None else limits.length
-        self._squares = VANISHES**2, inf
-        if isfinite(length):
-            self._squares = max(1.0 - length, SHORTEST) ** 2 - _ROUNDING, min(1.0 + length, LONGEST) ** 2 + _ROUNDING
-
-        self._rails = _bounds(limits.reading, coefficients.channels)
-        self.reach = _bounds(
-            {axis: (_sine_of_limit(low, -1), _sine_of_limit(high, +1)) for axis, (low, high) in limits.tilt.items()},
-            self.axes,
-        )
-        self._cone = None
-        if self.axes == AXES and limits.directions is not None:
-            self.reach = {}
-            if not isinstance(limits.directions, str):
-                self._cone = Cone(limits.directions)
-        self.temperatures = overlap(limits.temperature, None if self._thermal is None else self._thermal.range)
+        self._bounds = Bounds(limits, coefficients.channels, self.axes)
+        self._temperatures = overlap(limits.temperature, None if self._thermal is None else self._thermal.range)
         self.angles = (*(f"tilt_{axis}" for axis in self.axes), *(DIRECTIONS if channels == 3 else ()))
         self.columns = (*(f"g_{axis}" for axis in self.axes), *self.angles, "flag", "reason")
 
@@ -248,17 +284,17 @@ class Compensation:
         hidden = self._solve_hidden(own, out) if self.solves_z else None
         self._mount(own, hidden, application)
         if len(self.axes) == 3:
-            self._judge_length(tilts_of_three(application, out.angles.T), out)
+            self._bounds.judge_length(tilts_of_three(application, out.angles.T), out)
         else:
             for angle, argument in zip(out.angles.T, application, strict=True):
                 _arcsine(argument, angle, out)
         if self.on_edge and hidden is not None:
             self._blank_unknown_sign(hidden, out)
-        self._judge_tilt(own, out)
+        self._bounds.judge_tilt(own, out)
         if lost is not None and lost.any():
             mark(out, lost, flags.FAIL, flags.NO_DIRECTION)
             out.gravity[lost] = out.angles[lost] = np.nan
-        self._judge_readings(u, out)
+        self._bounds.judge_readings(u, out)
         return KernelChunk(rows, dt, own, hidden, out)
 
     def _temperature_difference(self, temperature: Array | None, out: Compensated) -> Array | None:
@@ -266,8 +302,8 @@ class Compensation:
         known = None
         if temperature is not None:
             known = np.isfinite(temperature)
-            if self.temperatures is not None:
-                low, high = self.temperatures
+            if self._temperatures is not None:
+                low, high = self._temperatures
                 mark(out, known & ((temperature < low) | (temperature > high)), flags.SUSPECT, flags.TEMPERATURE_RANGE)
         if self._thermal is None:
             return None
@@ -320,17 +356,6 @@ class Compensation:
             product(self.rotation[:2, :2], own, out=application)
             application += self.rotation[:2, 2:] * hidden
 
-    def _judge_length(self, square: Array, out: Compensated) -> None:
-        """Mark rows in which gravity is not 1 g long, and blank their angles where it is no gravity at all."""
-        inside = (square >= self._squares[0]) & (square <= self._squares[1])
-        if inside.all():
-            return
-        mark(out, ~inside, flags.SUSPECT, flags.GRAVITY_LENGTH)
-        lost = ~inside & ~((square >= SHORTEST**2 - _ROUNDING) & (square <= LONGEST**2 + _ROUNDING))
-        mark(out, lost, flags.FAIL, flags.GRAVITY_LENGTH)
-        mark(out, square <= VANISHES**2, flags.FAIL, flags.NO_DIRECTION)
-        out.angles[lost] = np.nan
-
     def _blank_unknown_sign(self, hidden: Array, out: Compensated) -> None:
         """Blank what follows from a g_z whose sign nothing shows: the sensor is on edge in its mounting and in fact."""
         unknown = np.abs(hidden) < _EDGE - _ROUNDING
@@ -340,27 +365,6 @@ class Compensation:
         by_hidden = self.rotation[:2, 2] - self.rotation[:2, :2] @ self.coupling
         for column in np.flatnonzero(np.abs(by_hidden) > _ROUNDING):
             out.gravity[unknown, column] = out.angles[unknown, column] = np.nan
-
-    def _judge_tilt(self, own: Array, out: Compensated) -> None:
-        """Mark rows that tilt a sensor axis further than the calibration covers, or lie in another direction."""
-        for axis, (low, high) in self.reach.items():
-            argument = own[axis]
-            measured = np.abs(argument) <= CLIP_LIMIT + _ROUNDING
-            mark(out, measured & ((argument < low) | (argument > high)), flags.SUSPECT, flags.TILT_RANGE)
-        if self._cone is not None:
-            mark(out, ~self._cone.inside(own), flags.SUSPECT, flags.TILT_RANGE)
-
-    def _judge_readings(self, u: Array, out: Compensated) -> None:
-        """Mark readings at the rail, and blank the rows that have a reading which is no number."""
-        for channel, (low, high) in self._rails.items():
-            mark(out, (u[channel] <= low) | (u[channel] >= high), flags.FAIL, flags.RAIL)
-        finite = np.isfinite(u).all(axis=0)
-        if finite.all():
-            return
-        missing = ~finite
-        out.flag[missing] = flags.MISSING
-        out.reason[missing] = flags.NOT_A_NUMBER
-        out.gravity[missing] = out.angles[missing] = np.nan
 
 
 def _arcsine(argument: Array, angle: Array, out: Compensated) -> None:
@@ -396,11 +400,6 @@ def _first_order_inverse(sensitivity: Array, channels: tuple[str, ...], axes: tu
         )
     (xx, xy), (yx, yy) = sensitivity[own]
     return np.array([[1.0 / xx, -xy / (xx * yy)], [-yx / (xx * yy), 1.0 / yy]])[:, np.argsort(own)]
-
-
-def _bounds(named: dict[str, tuple[float, float]], names: tuple[str, ...]) -> dict[int, tuple[float, float]]:
-    """Return bounds by position in ``names``, without those of other names."""
-    return {names.index(name): bounds for name, bounds in named.items() if name in names}
 
 
 def _sine_of_limit(angle: float, side: int) -> float:
