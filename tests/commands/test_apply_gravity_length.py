@@ -11,7 +11,7 @@ import pytest
 
 from tests.support.command import tiltcal
 from tiltcal import read
-from tiltcal.calibration.stated import stated_uncertainty, uncertain_coefficients
+from tiltcal.calibration.stated import stated_uncertainty
 from tiltcal.core.angle_uncertainty import length_half_width
 
 NOTE = "|g| is"
@@ -87,9 +87,9 @@ def test_the_library_says_the_same_of_a_frame_of_several_blocks() -> None:
 def test_the_uncertainty_of_the_length_is_that_of_a_simulation() -> None:
     """Calibrations and readings drawn from the file's own covariance: at the worst attitude 95 % are within."""
     known = read(FREE)
-    stated, _ = stated_uncertainty(known.uncertainty, known.coefficients)
+    stated, _ = stated_uncertainty(known)
     half = length_half_width(known.coefficients, known.limits, stated)
-    inputs = uncertain_coefficients(known.uncertainty, known.coefficients)
+    inputs = known.uncertain
     noise = [known.uncertainty.single_reading[channel] for channel in known.coefficients.channels]
     draw = np.random.default_rng(5)
     up = draw.normal(size=(60, 3))

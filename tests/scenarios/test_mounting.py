@@ -42,7 +42,7 @@ def test_the_angles_of_a_mounted_sensor_hold_the_truth() -> None:
         base = CalibrationRecord(identity, rounded(found), stated_section(found.uncertain))
         read = truth.reading(noisy(rng, turned, sigma), np.zeros(len(KNOWN)))
         mounted = mount(base, [_measured(known, row) for known, row in zip(KNOWN, read, strict=True)], jig=0.2)
-        doubt, _ = stated_uncertainty(mounted.uncertainty, mounted.coefficients, reading_noise=0.0)
+        doubt, _ = stated_uncertainty(mounted, reading_noise=0.0)
         kernel = CompensationWithUncertainty(Compensation(mounted.coefficients), mounted.coefficients, doubt)
         gravity = Rotation.from_euler("xy", rng.uniform(-40.0, 40.0, (20, 2)), degrees=True).apply([0.0, 0.0, 1.0])
         compensated, (standard, expanded) = kernel(truth.reading(gravity @ turned, np.zeros(20)), np.zeros(20))

@@ -133,7 +133,7 @@ class TiltOfReadings:
             raise InputError(failure.words) from failure
         self._uncertain: CompensationWithUncertainty | None = None
         try:
-            stated, _ = stated_uncertainty(calibration.uncertainty, coefficients)
+            stated, _ = stated_uncertainty(calibration)
             self._uncertain = CompensationWithUncertainty(self._compensation, coefficients, stated)
         except EstimateError:
             pass  # the file states no uncertainty

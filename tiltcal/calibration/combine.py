@@ -132,7 +132,7 @@ class CombinedSession:
         ``slope`` is the drift that the temperature of a file without one is worth, unit/°C, shape (channels,).
         """
         try:
-            own = stated.stated_uncertainty(self.record.uncertainty, self.coefficients)[0]
+            own = stated.stated_uncertainty(self.record)[0]
         except EstimateError as failure:
             raise EstimateError((f"{self.label}: ", *failure.words)) from failure
         at, thermal, axes = temperature_of(self.record), self.coefficients.thermal, self.coefficients.axes
@@ -482,7 +482,7 @@ def _uncertainty(sessions: Sequence[CombinedSession], found: Estimate) -> Uncert
     names = dict.fromkeys(name for one in each for name in one.single_reading)
     single = {name: max(one.single_reading.get(name, 0.0) for one in each) for name in names}
     kept = Uncertainty(angles, single, coverage_factor=factors, alignment=max(one.alignment for one in each))
-    before = stated.uncertain_coefficients(mounted.uncertainty, mounted.coefficients)
+    before = mounted.uncertain
     if turns := [name for name in before.names if name.startswith(TURN)]:
         # What follows the coefficients of its own session follows those of the combination by as much.
         shared = [name for name, u in before.by_name(before.u).items() if name in joint.names and u > 0.0]

@@ -10,12 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from tiltcal.calibration.stated import uncertain_coefficients
 from tiltcal.calibration.wording import label
 from tiltcal.core.attitude import LEVEL, mounting_matrix, orientation, rotation_vector
 from tiltcal.core.model import AXES, Array, referred, values
 from tiltcal.core.rounding import plus_minus
-from tiltcal.core.uncertain import COVERAGE, Uncertain, uncertain_at, weighted_sum
+from tiltcal.core.uncertain import COVERAGE, Uncertain, weighted_sum
 from tiltcal.errors import UsageError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
 from tiltcal.files.coefficients import TURNS
@@ -128,7 +127,7 @@ def changes_between(
     """Return the change of every coefficient between two calibrations at a temperature, °C, where they have drifts."""
     records = (before, after)
     old, new = (values(referred(record.coefficients, reference)) for record in records)
-    errors = [uncertain_of(record, reference) for record in records]
+    errors = [record.uncertain_at(reference) for record in records]
     # What a file states as exact is known, too.
     known = [{*e.names, *(n for n, u in r.uncertainty.items() if not u)} for e, r in zip(errors, records, strict=True)]
     step = weighted_sum(errors[0], errors[1], (-1.0, 1.0), shared_errors(before, after))
@@ -150,12 +149,6 @@ def changes_between(
         turn = np.degrees(rotation_vector(mounting_matrix(last) @ mounting_matrix(first).T)).tolist()
         found += [change(name, 0.0, angle, degrees(1.0)) for name, angle in zip(TURNS, turn, strict=True)]
     return found
-
-
-def uncertain_of(record: CalibrationRecord, reference: float | None) -> Uncertain:
-    """Return the errors of a calibration's coefficients at a reference temperature, °C, and of its mounting's turn."""
-    stated = uncertain_coefficients(record.uncertainty, record.coefficients)
-    return uncertain_at(record.coefficients, stated, reference)
 
 
 def shared_errors(before: CalibrationRecord, after: CalibrationRecord) -> frozenset[str]:

@@ -104,7 +104,7 @@ def _renewed(
     base: CalibrationRecord, seen: Sequence[Observation], bench: BenchUncertainty
 ) -> tuple[Uncertain, Uncertain]:
     """Return the errors of the offsets with all else that is uncertain, and the change of the offsets."""
-    coefficients, known = base.coefficients, stated.uncertain_coefficients(base.uncertainty, base.coefficients)
+    coefficients, known = base.coefficients, base.uncertain
     up, size = np.array([observation.gravity for observation in seen]), len(known.names)
     rotation = np.eye(3) if coefficients.mounting is None else attitude.mounting_matrix(coefficients.mounting)
     warmth = np.array([observation.temperature for observation in seen], dtype=float)
@@ -183,7 +183,7 @@ def mount(
     seen = observations_of(measurements, base.coefficients.channels)
     up, own = np.array([one.gravity for one in seen]), replace(base.coefficients, mounting=None)
     found, side, sigma = _solved(own, seen, up, jig)
-    known = stated.uncertain_coefficients(base.uncertainty, own).without(TURN)
+    known = base.uncertain.without(TURN)
 
     def errors(vector: Array) -> Array:
         """Return the directions and the turn that other coefficients would give, shape (3 positions + 3,)."""

@@ -66,7 +66,7 @@ def compensation_of(calibration: CalibrationRecord, *, first_order: bool = False
     require_boolean("first_order", first_order)
     limits = limits_of(calibration)
     if limits.length is None:
-        tolerance = length_tolerance(calibration.uncertainty, calibration.coefficients, limits)
+        tolerance = length_tolerance(calibration)
         limits = replace(limits, length=tolerance)
     return Compensation(calibration.coefficients, limits, first_order=first_order)
 
@@ -122,9 +122,9 @@ class TiltUncertainty:
 
 def tilt_uncertainty(calibration: CalibrationRecord) -> dict[str, TiltUncertainty]:
     """Return the uncertainty by axis, in the sensor's frame; empty where the file states none of its coefficients."""
-    coefficients, uncertainty = replace(calibration.coefficients, mounting=None), calibration.uncertainty
+    coefficients = replace(calibration.coefficients, mounting=None)
     try:
-        stated = (stated_uncertainty(uncertainty, coefficients, reading_noise=noise) for noise in (0.0, None))
+        stated = (stated_uncertainty(calibration, reading_noise=noise) for noise in (0.0, None))
         alone, reading = (half_widths(coefficients, u.without(TURN), calibration.limits) for u, _ in stated)
     except EstimateError:
         return {}

@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 
-from tiltcal.calibration.comparison import Comparison, compare_records, require_same_sensor, shared_errors, uncertain_of
+from tiltcal.calibration.comparison import Comparison, compare_records, require_same_sensor, shared_errors
 from tiltcal.calibration.stated import stated_section
 from tiltcal.core.directions import common, tilts
 from tiltcal.core.model import Array, Coefficients, Limits, overlap, referred, values, with_vector
@@ -93,7 +93,7 @@ class SensorHistory:
         records = [calibration.record for calibration in self.calibrations]
         last = records[-1].coefficients.thermal
         reference = None if last is None else last.reference
-        errors = [uncertain_of(record, reference) for record in records]
+        errors = [record.uncertain_at(reference) for record in records]
         if any(name not in one.names for one in errors):
             return None
         value = [values(referred(record.coefficients, reference))[name] for record in records]
@@ -116,7 +116,7 @@ class SensorHistory:
         nearest = 0 if time <= dates[0] else -1
         record, days = self.calibrations[nearest].record, abs(time - dates[nearest]) / DAY
         if days:
-            errors = _with_walk(uncertain_of(record, None), self._walked(k, days, stability))
+            errors = _with_walk(record.uncertain, self._walked(k, days, stability))
             record = replace(record, uncertainty=stated_section(errors, record.uncertainty))
         return _without_measured(record)
 
@@ -244,7 +244,7 @@ def _between(before: CalibrationRecord, after: CalibrationRecord, share: float, 
     """Return the calibration at a share of the time between two; what has ``walked`` adds to it."""
     weights, stated = (1.0 - share, share), (before.uncertainty, after.uncertainty)
     reference = None if after.coefficients.thermal is None else after.coefficients.thermal.reference
-    ends = [uncertain_of(record, reference) for record in (before, after)]
+    ends = [record.uncertain_at(reference) for record in (before, after)]
     errors = _with_walk(weighted_sum(ends[0], ends[1], weights, shared_errors(before, after)), walked)
     single = {
         name: sum(weight * one.single_reading.get(name, u) for weight, one in zip(weights, stated, strict=True))

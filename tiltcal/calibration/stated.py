@@ -9,15 +9,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tiltcal.core.angle_uncertainty import length_half_width
-from tiltcal.core.attitude import UNKNOWN_FACTOR, mounting_matrix
+from tiltcal.core.attitude import UNKNOWN_FACTOR
 from tiltcal.core.compensation import LENGTH_TOLERANCE
 from tiltcal.core.derived import cross_axis, intrinsic, misalignment, rotation
-from tiltcal.core.model import AXES, Array, Coefficients, Limits, Mounting, values, with_vector
+from tiltcal.core.model import AXES, Array, Coefficients, values, with_vector
 from tiltcal.core.rounding import outwards, round_to, significant
-from tiltcal.core.uncertain import ALIGNMENT, NEGLIGIBLE, NORMAL_FACTOR, READING, TURN, Uncertain, widened
+from tiltcal.core.uncertain import ALIGNMENT, NEGLIGIBLE, NORMAL_FACTOR, READING, TURN, Uncertain
 from tiltcal.errors import EstimateError
 from tiltcal.files import results
-from tiltcal.files.coefficients import ANGLES, MOUNTING, TURNS, Covariance, Uncertainty
+from tiltcal.files.calibration import CalibrationRecord
+from tiltcal.files.coefficients import TURNS, Covariance, Uncertainty
 
 if TYPE_CHECKING:
     from tiltcal.core.estimation.estimate import Estimate
@@ -31,10 +32,10 @@ PRIOR_DIGITS = 9  # digits of a prior's u, kept because it is subtracted later
 
 
 def stated_uncertainty(
-    uncertainty: Uncertainty, coefficients: Coefficients, *, reading_noise: float | None = None
+    record: CalibrationRecord, *, reading_noise: float | None = None
 ) -> tuple[Uncertain, tuple[str, ...]]:
     """Return all errors that make an angle uncertain, and remarks; ``reading_noise``, unit, in place of the file's."""
-    known = uncertain_coefficients(uncertainty, coefficients)
+    known, uncertainty, coefficients = record.uncertain, record.uncertainty, record.coefficients
     if not known.names:
         raise EstimateError(
             "the file states no uncertainty of any coefficient: calibrate with `tiltcal measure` or `tiltcal fit`, "
@@ -60,39 +61,12 @@ def stated_uncertainty(
     return known.beside(other), tuple(remarks)
 
 
-def uncertain_coefficients(uncertainty: Uncertainty, coefficients: Coefficients) -> Uncertain:
-    """Return the errors of the coefficients and of the mounting's turn; empty where no uncertainty is stated."""
-    stated = uncertainty.covariance
-    if stated is None:
-        own = {
-            name: u
-            for name, u in uncertainty.items()
-            if u > 0.0 and not name.startswith(MOUNTING) and name not in ("temperature.reference", "temperature.lag")
-        }
-        names, covariance = tuple(own), np.diag(np.array(list(own.values())) ** 2)
-    else:
-        names, covariance = stated.parameters, stated.as_array()
-    factors = np.array([uncertainty.coverage_factor.get(name, NORMAL_FACTOR) for name in names])
-    wide = np.array(stated.wide, dtype=float) if stated is not None and stated.wide else widened(covariance, factors)
-    scale = np.array([radians(1.0) if name.startswith(TURN) else 1.0 for name in names])
-    scales = np.outer(scale, scale)
-    found = Uncertain(names, np.zeros(len(names)), covariance * scales, wide * scales)
-    angles, mounting = [radians(uncertainty.get(f"mounting.{angle}", 0.0)) for angle in ANGLES], coefficients.mounting
-    silent = not any(f"{MOUNTING}{angle}" in uncertainty for angle in ANGLES)
-    if not names or mounting is None or silent or any(name.startswith(TURN) for name in names):
-        return found
-    # A turn about the application's axes, from uncorrelated angles.
-    roll = mounting_matrix(Mounting(0.0, mounting.pitch, mounting.yaw))[:, 0]
-    axes = np.column_stack([roll, mounting_matrix(Mounting(0.0, 0.0, mounting.yaw))[:, 1], [0.0, 0.0, 1.0]])
-    return found.beside(Uncertain.errors(ANGLES, np.diag(np.square(angles))).through(axes, TURNS))
-
-
-def length_tolerance(uncertainty: Uncertainty, coefficients: Coefficients, limits: Limits) -> float:
+def length_tolerance(record: CalibrationRecord) -> float:
     """Return by how much the length of gravity of three axes may differ from 1 g before a row is suspect."""
-    if len(coefficients.channels) < 3 or not uncertain_coefficients(uncertainty, coefficients).names:
+    if len(record.coefficients.channels) < 3 or not record.uncertain.names:
         return LENGTH_TOLERANCE
-    stated, _ = stated_uncertainty(uncertainty, coefficients)
-    return max(LENGTH_TOLERANCE, length_half_width(coefficients, limits, stated))
+    stated, _ = stated_uncertainty(record)
+    return max(LENGTH_TOLERANCE, length_half_width(record.coefficients, record.limits, stated))
 
 
 def rounded(found: Estimate) -> Coefficients:

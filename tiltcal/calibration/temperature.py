@@ -25,7 +25,7 @@ from tiltcal.calibration.comparison import temperature_of
 from tiltcal.calibration.fit import OF_BASE, fit_jointly, observed_sensor, record_of
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement
 from tiltcal.calibration.priors import design_of
-from tiltcal.calibration.stated import TEMPERATURE_DIGITS, rounded_covariance, uncertain_coefficients
+from tiltcal.calibration.stated import TEMPERATURE_DIGITS, rounded_covariance
 from tiltcal.core.attitude import normalised
 from tiltcal.core.compensation import Compensated, Compensation
 from tiltcal.core.detection import TEMPERATURES
@@ -195,7 +195,7 @@ def with_typical_temperature(calibration: CalibrationRecord, sensor: MeasuredSen
     }
     derived, u = calibration.derived, calibration.uncertainty
     spread = Uncertain.errors(tuple(typical), np.diag(np.array(list(typical.values())) ** 2))
-    both = uncertain_coefficients(u, coefficients).beside(spread)
+    both = calibration.uncertain.beside(spread)
     assumed = (*derived.assumed, f"temperature: {population.source}, not this unit's own")
     return replace(
         calibration,
@@ -301,8 +301,7 @@ def _reading_uncertainty(fit: RampFit, record: RampRecord, stated: float | None,
 def _require_attitude(base: CalibrationRecord, reading: Array, attitude: Measurement, jig: float) -> None:
     """Refuse readings, (channels,), in a stated attitude where the base reads another one."""
     own = replace(base.coefficients, mounting=None, thermal=None)
-    known = uncertain_coefficients(base.uncertainty, base.coefficients)
-    known = known.named([name for name in known.names if name in values(own)])
+    known = base.uncertain.named([name for name in base.uncertain.names if name in values(own)])
     expected, variance = _prediction(own, known, np.array(attitude.gravity))
     size = np.linalg.norm(own.sensitivity, axis=1)
     off, u = np.degrees(np.abs(reading - expected) / size), np.hypot(np.degrees(np.sqrt(variance) / size), jig)
@@ -414,7 +413,7 @@ def _sources(
     signal = coefficients.predict(gravity[None, :])[0] - coefficients.offset
     yield errors(PRIOR, slope, np.diag((gain * signal) ** 2))
     if known is not None:
-        base = uncertain_coefficients(known.uncertainty, known.coefficients).without("temperature.", TURN)
+        base = known.uncertain.without("temperature.", TURN)
         yield base.through(selection(names, base.names), names, source=BASE)
         return
     # An offset follows a sensitivity that stands in: the reading is what it was.

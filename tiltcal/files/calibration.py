@@ -19,6 +19,7 @@ from tiltcal.core.angle_readings import AngleReadings
 from tiltcal.core.attitude import normalised
 from tiltcal.core.directions import tilts
 from tiltcal.core.model import Coefficients, Limits, values
+from tiltcal.core.uncertain import Uncertain, uncertain_at
 from tiltcal.drivers.model import SLOPES
 from tiltcal.files.coefficients import (
     CoefficientsSection,
@@ -134,6 +135,15 @@ class CalibrationRecord:
     def device(self) -> DeviceFile | None:
         """What the file of a text device says."""
         return None if self.provenance.bench is None else self.provenance.bench.device
+
+    @property
+    def uncertain(self) -> Uncertain:
+        """The errors of its coefficients and of the mounting's turn; none where no uncertainty is stated."""
+        return self.uncertainty.errors(self.coefficients.mounting)
+
+    def uncertain_at(self, reference: float | None) -> Uncertain:
+        """Return these errors at another reference temperature, °C."""
+        return uncertain_at(self.coefficients, self.uncertain, reference)
 
     @property
     def runs(self) -> tuple[tuple[PositionRecord, ...], ...]:

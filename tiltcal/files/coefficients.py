@@ -16,9 +16,10 @@ import numpy as np
 from msgspec import Meta
 
 from tiltcal.core.angle_readings import AngleReadings
+from tiltcal.core.attitude import mounting_matrix
 from tiltcal.core.model import AXES, Array, Coefficients, Mounting, Thermal, values
 from tiltcal.core.rounding import significant
-from tiltcal.core.uncertain import TURN
+from tiltcal.core.uncertain import NORMAL_FACTOR, TURN, Uncertain, widened
 from tiltcal.files.document import Document
 from tiltcal.files.record import AboveZero, ByAxis, Finite, Range, Record, Size, Text, about, one_of, plain
 
@@ -264,6 +265,29 @@ class Uncertainty(Mapping[str, float]):
         )
         covariance = self.covariance and self.covariance.without_turn()
         return replace(self, standard=standard, coverage_factor=factors, covariance=covariance)
+
+    def errors(self, mounting: Mounting | None) -> Uncertain:
+        """Return the errors of the coefficients and of the turn of their mounting; none where none is stated."""
+        stated = self.covariance
+        if stated is None:
+            untold = (MOUNTING, "temperature.reference", "temperature.lag")
+            own = {name: u for name, u in self.standard.items() if u > 0.0 and not name.startswith(untold)}
+            names, covariance = tuple(own), np.diag(np.array(list(own.values())) ** 2)
+        else:
+            names, covariance = stated.parameters, stated.as_array()
+        factors = np.array([self.coverage_factor.get(name, NORMAL_FACTOR) for name in names])
+        wide = np.array(stated.wide, dtype=float) if stated and stated.wide else widened(covariance, factors)
+        scale = np.array([radians(1.0) if name.startswith(TURN) else 1.0 for name in names])
+        scales = np.outer(scale, scale)
+        found = Uncertain(names, np.zeros(len(names)), covariance * scales, wide * scales)
+        angles = [radians(self.get(f"{MOUNTING}{angle}", 0.0)) for angle in ANGLES]
+        silent = not any(f"{MOUNTING}{angle}" in self for angle in ANGLES)
+        if not names or mounting is None or silent or any(name.startswith(TURN) for name in names):
+            return found
+        # A turn about the application's axes, from uncorrelated angles.
+        roll = mounting_matrix(Mounting(0.0, mounting.pitch, mounting.yaw))[:, 0]
+        axes = np.column_stack([roll, mounting_matrix(Mounting(0.0, 0.0, mounting.yaw))[:, 1], [0.0, 0.0, 1.0]])
+        return found.beside(Uncertain.errors(ANGLES, np.diag(np.square(angles))).through(axes, TURNS))
 
 
 class ThermalUncertainty(Record, kw_only=True):

@@ -95,12 +95,7 @@ def _of_record(name: str, doc: str) -> Any:
 
 
 class Applicable:
-    """What applies to the raw readings of a tilt sensor: one calibration, or a folder of them."""
-
-    @property
-    def _applied(self) -> Any:
-        """The record, or the folder itself."""
-        raise NotImplementedError
+    """What applies to the raw readings of a tilt sensor: one calibration by its record, or a folder of them."""
 
     @overload
     def apply(self, frame: Mapping[str, Any], **options: Unpack[ApplyOptions]) -> dict[str, Any]: ...
@@ -135,7 +130,8 @@ class Applicable:
         """
         from tiltcal.logs.apply import apply_frame
 
-        return apply_frame(self._applied, frame, complete(ApplyOptions, options))
+        applied: Any = getattr(self, "record", self)
+        return apply_frame(applied, frame, complete(ApplyOptions, options))
 
 
 class Sensitivities(dict[tuple[str, str], float]):
@@ -203,10 +199,6 @@ class Calibration(SavedCalibration, Applicable):
 
     def __reduce__(self) -> tuple[type[Calibration], tuple[CalibrationRecord]]:
         return Calibration, (self.record,)  # the arrays of a copy are read-only, too
-
-    @property
-    def _applied(self) -> CalibrationRecord:
-        return self.record
 
     sensor: SensorIdentity = _of_record("sensor", "Model, serial number, unit of the readings, and channels.")
     coefficients: Coefficients = _of_record(

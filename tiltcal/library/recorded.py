@@ -42,10 +42,6 @@ class CalibrationLibrary(CalibrationFolder, Applicable):
     def __repr__(self) -> str:
         return f"<CalibrationLibrary of {self.folder}>"
 
-    @property
-    def _applied(self) -> CalibrationFolder:
-        return self
-
     def at(self, serial: str, time: str | date, *, stability: float | None = None) -> Calibration:
         """Return the calibration of a sensor at a time: between two of them, or the nearest one.
 

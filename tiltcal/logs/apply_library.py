@@ -136,7 +136,7 @@ class LibraryKernel:
         if options["mounting"]:  # it replaces that of each
             mounting = stated_mounting(options["mounting"])
             records = [with_mounting(one, mounting) for one in records]
-        self._length = max(length_tolerance(one.uncertainty, one.coefficients, one.limits) for one in records)
+        self._length = max(map(length_tolerance, records))
         rails = limits_of(records[-1]).reading
         self._rails = {channel: rails.get(channel, (-inf, inf)) for channel in last.channels}
         dated = zip(history.calibrations, records, strict=True)

@@ -274,7 +274,7 @@ def tilt_kernel(calibration: CalibrationRecord, options: ApplyOptions, remarks: 
     uncertain_angles = earth = None
     if options["uncertainty"]:
         noise = options["reading_noise"]
-        stated, assumed = stated_uncertainty(calibration.uncertainty, calibration.coefficients, reading_noise=noise)
+        stated, assumed = stated_uncertainty(calibration, reading_noise=noise)
         for remark in assumed:
             options["say"](f"note: {remark}")
         uncertain_angles = CompensationWithUncertainty(compensation, calibration.coefficients, stated)

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tiltcal.calibration.record import USUAL, TiltUncertainty
-from tiltcal.calibration.stated import uncertain_coefficients
 from tiltcal.core.model import Array, Thermal, polynomial
 from tiltcal.core.uncertain import NORMAL_FACTOR
 from tiltcal.files.calibration import CalibrationRecord
@@ -177,10 +176,9 @@ def _plot_positions(panel: Axes, calibration: CalibrationRecord, thermal: Therma
 
 def _half_width(calibration: CalibrationRecord, names: list[str], dt: Array, lowest: int) -> Array | None:
     """Return half the 95 % interval of a polynomial from the power ``lowest``; None where no uncertainty is stated."""
-    uncertainty = calibration.uncertainty
-    if any(name not in uncertainty for name in names):
+    if any(name not in calibration.uncertainty for name in names):
         return None
-    uncertain = uncertain_coefficients(uncertainty, calibration.coefficients).named(names)
+    uncertain = calibration.uncertain.named(names)
     powers = np.array([dt ** (lowest + names.index(name)) for name in uncertain.names])
     curve = uncertain.through(powers.T.reshape(len(dt), -1), [""] * len(dt))
     return np.asarray(curve.factors * curve.u)

@@ -10,7 +10,6 @@ from support.measured import measured
 
 from tiltcal.calibration.calibrate import calibrate
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement
-from tiltcal.calibration.stated import uncertain_coefficients
 from tiltcal.core.model import vector_of
 from tiltcal.core.samples import SampleSummary
 from tiltcal.drivers import find_model
@@ -76,7 +75,7 @@ def test_the_interval_of_a_sweep_holds_both_ways_of_a_loop_that_jumps() -> None:
     for seed in range(6):
         found, _ = calibrated(sweep((0.2, 0.004), seed, loop=2.0))
         names = ["offset.x", *(f"temperature.offset.x.{power}" for power in (1, 2, 3))]
-        known = uncertain_coefficients(found.uncertainty, found.coefficients).named(names)
+        known = found.uncertain.named(names)
         expanded = 1.96 * np.sqrt(np.einsum("ij,jk,ik->i", powers, known.wide, powers))
         curve = powers @ vector_of(found.coefficients, names)
         for loop in (0.0, 2.0):
