@@ -13,6 +13,8 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
+import numpy as np
+
 from tiltcal.bench import messages
 from tiltcal.bench.checks import Expectations, far_off, require_few, require_no_turns
 from tiltcal.bench.conversation import Conversation
@@ -20,7 +22,7 @@ from tiltcal.bench.devices import Recorder, SensorSet, VirtualBench, connected, 
 from tiltcal.bench.guidance import SensorGuidance
 from tiltcal.bench.operators import Operator
 from tiltcal.bench.reference import require_steady
-from tiltcal.bench.settle import NEAR, Timed, Unsettled, Window, movement, wait_until_still
+from tiltcal.bench.settle import NEAR, Timed, Unsettled, Window, movement, row_of, wait_until_still
 from tiltcal.drivers.bus.clock import session_clock
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.procedure import FreePositions, Position, Ramp
@@ -303,7 +305,8 @@ class Session:
     ) -> PositionResult:
         """Return what the samples of a position give; Unsettled where they moved, or are at a rail."""
         sensors, models = self.sensors.sensors, self.sensors.models
-        moved = movement(samples, models, still=NUDGED, sigmas=NUDGED_SIGMAS) if len(samples) > 2 else None
+        rows = np.array([row_of(timed, models) for timed in samples])
+        moved = movement(rows, models, still=NUDGED, sigmas=NUDGED_SIGMAS) if len(samples) > 2 else None
         if moved:
             raise Unsettled(f"moved while it was sampled: {moved}")
         for _, sample in samples:

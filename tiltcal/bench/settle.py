@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from itertools import islice
-from operator import mul
+from math import nan
+
+import numpy as np
 
 from tiltcal.bench.devices import SensorSet
 from tiltcal.core.detection import is_still
+from tiltcal.core.model import Array
 from tiltcal.core.samples import drift
 from tiltcal.drivers.bus.clock import Clock
 from tiltcal.drivers.model import Model
@@ -93,7 +94,7 @@ def wait_until_still(
     """
     models = sensors.models
     pause = max(window.seconds / (SOAK_LOOKS if window.soaking else LOOKS), sensors.interval)
-    held: deque[Timed] = deque()
+    rows: list[list[float]] = []
     began: float | None = None
     judged = 0.0
     why = "waiting until it is still" if window.target is None else f"on the way to {window.target:g} °C"
@@ -102,12 +103,12 @@ def wait_until_still(
         now = clock.now_ns() / 1e9
         if began is None:
             began = judged = now
-        held.append((now, sample))
-        while len(held) > FEWEST_SAMPLES and now - held[1][0] >= max(window.seconds * LONG, window.thermometer or 0.0):
-            held.popleft()
+        rows.append(row_of((now, sample), models))
+        while len(rows) > FEWEST_SAMPLES and now - rows[1][0] >= max(window.seconds * LONG, window.thermometer or 0.0):
+            del rows[0]
         if now >= judged + window.seconds / JUDGEMENTS:
             judged = now
-            moving = _unsettled(held, models, window)
+            moving = _unsettled(np.array(rows), models, window, near=window.near(sample))
             if moving is None:
                 return
             why = moving or why
@@ -117,76 +118,77 @@ def wait_until_still(
         clock.sleep(pause)
 
 
-def _unsettled(held: deque[Timed], models: Mapping[str, Model], window: Window) -> str | None:
+def row_of(timed: Timed, serials: Iterable[str]) -> list[float]:
+    """Return the time of a sample, s, and of each sensor its readings and its temperature, °C, NaN for none."""
+    row = [timed[0]]
+    for reading in map(timed[1].__getitem__, serials):
+        row += [*reading.values, nan if reading.temperature is None else reading.temperature]
+    return row
+
+
+def _unsettled(rows: Array, models: Mapping[str, Model], window: Window, *, near: bool) -> str | None:
     """Return what changes in the last samples, in words; None where nothing does, empty where it is early to judge."""
-    now, sample = held[-1]
+    ago = rows[-1, 0] - rows[:, 0]
     # A thermometer with a window of its own is judged there.
     drift_in_window = window.temperature_drift if window.thermometer is None else None
     still = STEADY if window.soaking else STILL
     why = ""
-    if len(held) >= FEWEST_SAMPLES and now - held[0][0] >= window.seconds and window.near(sample):
-        start = next(index for index in range(len(held) - 1, -1, -1) if now - held[index][0] >= window.seconds)
-        recent = list(islice(held, min(start, len(held) - FEWEST_SAMPLES), None))
-        moving = movement(recent, models, drift_in_window, still=still, shown=window.soaking)
+    if len(rows) >= FEWEST_SAMPLES and ago[0] >= window.seconds and near:
+        start = min(int(np.flatnonzero(ago >= window.seconds)[-1]), len(rows) - FEWEST_SAMPLES)
+        moving = movement(rows[start:], models, drift_in_window, still=still, shown=window.soaking)
         if moving is None and window.soaking:
-            moving = _drifting(held, models, SOAKS * window.seconds) or _warming(held, models, window)
+            moving = _drifting(rows, ago, models, SOAKS * window.seconds) or _warming(rows, ago, models, window)
         if moving is None:
             return None
         why = moving
-    if window.soaking and now - held[0][0] >= window.seconds * LONG:
-        return movement(held, models, drift_in_window, still=STEADY) or _warming(held, models, window)
+    if window.soaking and ago[0] >= window.seconds * LONG:
+        return movement(rows, models, drift_in_window, still=STEADY) or _warming(rows, ago, models, window)
     return why
 
 
-def _drifting(held: deque[Timed], models: Mapping[str, Model], seconds: float) -> str | None:
+def _drifting(rows: Array, ago: Array, models: Mapping[str, Model], seconds: float) -> str | None:
     """Return what drifts over the last seconds, or that they have not passed yet; None where nothing does."""
-    now = held[-1][0]
-    if now - held[0][0] < seconds:
-        return f"steady for {now - held[0][0]:.0f} s of {seconds:.0f} s"
-    return movement([reading for reading in held if now - reading[0] <= seconds], models, still=SOAKED)
+    if ago[0] < seconds:
+        return f"steady for {ago[0]:.0f} s of {seconds:.0f} s"
+    return movement(rows[ago <= seconds], models, still=SOAKED)
 
 
-def _warming(held: deque[Timed], models: Mapping[str, Model], window: Window) -> str | None:
+def _warming(rows: Array, ago: Array, models: Mapping[str, Model], window: Window) -> str | None:
     """Return by how much thermometers that are read change over their window, or that it has not passed yet."""
-    now = held[-1][0]
-    if window.thermometer is None or all(reading.temperature is None for reading in held[-1][1].values()):
+    temperatures = np.cumsum([1 + len(model.channels) for model in models.values()])
+    if window.thermometer is None or np.isnan(rows[-1, temperatures]).all():
         return None
-    if now - held[0][0] < window.thermometer:
-        return f"the thermometer is read for {now - held[0][0]:.0f} s of {window.thermometer:.0f} s"
-    recent = [reading for reading in held if now - reading[0] <= window.thermometer]
-    return movement(recent, models, window.temperature_drift, still=SOAKED)
+    if ago[0] < window.thermometer:
+        return f"the thermometer is read for {ago[0]:.0f} s of {window.thermometer:.0f} s"
+    return movement(rows[ago <= window.thermometer], models, window.temperature_drift, still=SOAKED)
 
 
 def movement(
-    held: Sequence[Timed],
+    rows: Array,
     models: Mapping[str, Model],
     temperature_drift: float | None = None,
     still: float = STILL,
     sigmas: float = SIGMAS,
     shown: bool = False,
 ) -> str | None:
-    """Return what changes over a run of at least three samples, in words; None where nothing does.
+    """Return what changes over at least three samples, a row each (:func:`row_of`), in words; None where nothing does.
 
     A change up to ``still``, g, or ``temperature_drift``, °C, is steady, and so is one below ``sigmas`` of its own
     standard uncertainties, unless the reading must be ``shown`` to be steady.
     """
-    times = [time for time, _ in held]
-    span = times[-1] - times[0]
-    for serial, model in models.items():
-        readings = [sample[serial] for _, sample in held]
-        for place, channel in enumerate(model.channels):
-            values = [reading.values[place] for reading in readings]
+    times, *columns = rows.T
+    span, column = times[-1] - times[0], iter(columns)
+    for model in models.values():
+        limit = still * model.sensitivity
+        for channel, values in [(channel, next(column)) for channel in model.channels]:
             change, uncertainty = drift(times, values)
-            limit = still * model.sensitivity
             if not is_still(change, uncertainty, limit, sigmas=sigmas, shown=shown, coverage=SHOWN_WITHIN):
                 return f"{channel} drifts by {change:+.4g} {model.unit} in {span:.3g} s"
-            mean = sum(values) / len(values)
-            deviations = [value - mean for value in values]
-            scatter = (sum(map(mul, deviations, deviations)) / len(values)) ** 0.5
+            scatter = values.std()
             if scatter > SHAKING * model.sensitivity:
                 return f"{channel} scatters by {scatter:.4g} {model.unit}: hold it still"
-        temperatures = [reading.temperature for reading in readings if reading.temperature is not None]
-        if temperature_drift is not None and len(temperatures) == len(readings):
+        temperatures = next(column)
+        if temperature_drift is not None and not np.isnan(temperatures).any():
             change, uncertainty = drift(times, temperatures)
             if not is_still(change, uncertainty, temperature_drift, sigmas=sigmas):
                 return f"the temperature drifts by {change:+.2f} °C in {span:.3g} s"

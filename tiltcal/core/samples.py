@@ -23,9 +23,9 @@ from dataclasses import dataclass, replace
 from functools import cache
 from itertools import pairwise
 from math import exp, fsum, hypot, inf, pi, sqrt
-from operator import mul
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from tiltcal.core.model import Array
 
@@ -109,18 +109,16 @@ def summarise(samples: Sequence[float] | Array, resolution: float = 0.0) -> Samp
     return SampleSummary(mean, std, n, sqrt(noise**2 + step**2), step, dof, resolution, correlation)
 
 
-def drift(times: Sequence[float], samples: Sequence[float]) -> tuple[float, float]:
+def drift(times: ArrayLike, samples: ArrayLike) -> tuple[float, float]:
     """Return the change along the least-squares line through samples at some seconds, and its standard uncertainty."""
-    n = len(samples)
-    middle, mean = fsum(times) / n, fsum(samples) / n
-    later, off = [time - middle for time in times], [sample - mean for sample in samples]
-    spread = fsum(map(mul, later, later))
+    at, values = np.asarray(times, float), np.asarray(samples, float)
+    later, off = at - at.mean(), values - values.mean()
+    spread = float(later @ later)
     if spread == 0.0:
         return 0.0, 0.0
-    slope = fsum(map(mul, later, off)) / spread
-    rest = fsum([(value - slope * time) ** 2 for time, value in zip(later, off, strict=True)])
-    span = times[-1] - times[0]
-    return slope * span, sqrt(rest / max(n - 2, 1) / spread) * span
+    slope, span = float(later @ off) / spread, float(at[-1] - at[0])
+    rest = off - slope * later
+    return slope * span, sqrt(float(rest @ rest) / max(len(at) - 2, 1) / spread) * span
 
 
 # Rounding
