@@ -37,7 +37,6 @@ from tiltcal.files.procedure import PositionProcedure
 from tiltcal.files.results import ProcedureRecord
 
 OF_BASE = "of the base calibration"  # the origin of a sensitivity that the sensor's own calibration lends
-
 STEEP = 0.99  # gravity along a channel, g, from which on a set angle says little of its reading
 DRIFT_NOT_SHOWN = "along gravity only the noise counts; --closing or --jig shows a drift"
 
@@ -241,9 +240,7 @@ UNCERTAIN, WORTHLESS = 10.0, 50.0
 direction is refused, mg."""
 
 UNEQUAL = 1.5  # the largest sensitivity of a direction over the least, beyond which they are those of no sensor
-
 WARM = 5.0  # a span of temperatures beyond which free attitudes show a drift of the offset, °C
-
 REACH = 45.0  # a direction is missing where no attitude comes as near, degrees
 
 UNDETERMINED = (

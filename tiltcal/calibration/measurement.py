@@ -130,8 +130,7 @@ REACTION = 3.0
 """Expanded uncertainties that a sensitivity must be apart from zero: noise alone is beyond one of them in 5 of 100."""
 
 ROUNDING = 1e-9  # the share of a reading below which a sensitivity is a rounding error
-CLEARLY = 2.0
-"""So many times the sensitivity to its own axis, or to what its unit says, is another axis or unit; ours."""
+CLEARLY = 2.0  # so many times the sensitivity to its own axis, or to what its unit says, is another axis or unit; ours
 
 COPIES = ("two copies of one channel? Look at the wiring, and at ", Argument("columns"))
 

@@ -24,7 +24,6 @@ from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
 PASSED, FAILED, UNDECIDED = "passed", "failed", "not decided"
 
 LIMIT = 0.5  # the largest tilt error that passes where none is stated, degrees
-
 STEEP = cos(radians(89.0))  # the slope of an arcsine is followed up to this far from level
 
 ANGLE, DIRECTION = 1.959964, 2.447747

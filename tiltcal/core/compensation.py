@@ -36,7 +36,6 @@ CLIP_LIMIT = 1.02  # an arcsine argument up to this is taken for ±90°, g
 VANISHES = 1e-9  # gravity of three axes that is no longer than this has no direction, g
 LENGTH_TOLERANCE = 0.02  # a length of gravity that differs from 1 g by more is suspect, if its uncertainty is not more
 SHORTEST, LONGEST = 0.5, 2.0  # lengths of gravity beyond which three axes have no tilt, g
-
 _EDGE = cos(radians(45.0))  # the z component between those of a sensor near level and of one on edge
 _OVER = -sin(radians(5.0))  # element zz of the mounting below which two axes hang upside down: an estimate is no sign
 CHUNK, UNCERTAIN_CHUNK = 32_768, 8192

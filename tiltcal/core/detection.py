@@ -22,7 +22,6 @@ from tiltcal.core.samples import SampleSummary, noise_under_rounding
 
 Span = tuple[int, int]  # first row and the row behind the last
 Numbers = NDArray[np.intp]  # numbers of rows
-
 CHANCE = 1e-6  # probability of identical samples below which they are no chance
 JUMP = 8.0  # a difference of block means beyond so many standard deviations is motion
 BURST = 5.0  # so is a scatter within a block beyond so many times the usual one

@@ -13,12 +13,10 @@ Bytes = NDArray[np.uint8]
 Reasons = NDArray[np.uint16]
 Mask = NDArray[np.bool_]
 
-PASS, SUSPECT, FAIL, MISSING = 1, 3, 4, 9
-"""QARTOD flags, worst last."""
+PASS, SUSPECT, FAIL, MISSING = 1, 3, 4, 9  # QARTOD flags, worst last
 
 CLIPPED, TEMPERATURE_RANGE, RAIL, TILT_RANGE, NO_TEMPERATURE, NOT_A_NUMBER = 1, 2, 4, 8, 16, 32
-OUTSIDE_TIME, NO_DIRECTION, GRAVITY_LENGTH = 64, 128, 256
-"""Bits of a reason."""
+OUTSIDE_TIME, NO_DIRECTION, GRAVITY_LENGTH = 64, 128, 256  # bits of a reason
 
 FLAGS = {PASS: "pass", SUSPECT: "suspect", FAIL: "fail", MISSING: "missing"}
 REASONS = {

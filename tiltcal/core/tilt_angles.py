@@ -19,8 +19,7 @@ import numpy as np
 
 from tiltcal.core.model import Array
 
-DIRECTIONS = ("pitch", "roll", "inclination")
-"""The angles over the full circle that three axes have."""
+DIRECTIONS = ("pitch", "roll", "inclination")  # the angles over the full circle that three axes have
 
 _DEGREES = 180.0 / pi
 

@@ -13,8 +13,7 @@ from typing import BinaryIO
 from tiltcal.errors import UsageError
 from tiltcal.stated_arguments import require_path
 
-BINARY = int(getattr(os, "O_BINARY", 0))
-"""The flag of :func:`os.open` that keeps Windows from changing line ends."""
+BINARY = int(getattr(os, "O_BINARY", 0))  # the flag of :func:`os.open` that keeps Windows from changing line ends
 
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS)
 """Failures of the output; any other that leaves the caller's block is about something else."""

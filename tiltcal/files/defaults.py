@@ -18,8 +18,7 @@ from tiltcal.files.record import FromZero, Record, Text, about
 from tiltcal.files.results import Reference, Standard
 from tiltcal.files.yaml_text import Place, read_text
 
-DEFAULTS = "tiltcal.toml"
-"""The name of the file, of the user and of a project."""
+DEFAULTS = "tiltcal.toml"  # the name of the file, of the user and of a project
 
 _LINE = re.compile(r"\s*(?:\[([\w. \"'-]+)\]|([\w. \"'-]+)=)")
 
