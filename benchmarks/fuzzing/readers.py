@@ -35,20 +35,20 @@ def known_models() -> Sequence[Model]:
 
 @target(share=30)
 def calibration(draw: Random) -> None:
-    from tiltcal.files.calibration import dump_calibration, read_calibration
+    from tiltcal.files.calibration import read_calibration
 
     Path("c.yaml").write_bytes(damaged_yaml(draw, golden(f"{draw.choice(CALIBRATIONS)}.yaml")))
-    dump_calibration(read_calibration("c.yaml"))
+    _ = read_calibration("c.yaml").text
 
 
 @target(share=40)
 def pair(draw: Random) -> None:
 
     from tiltcal.files.document import read_document
-    from tiltcal.files.pair import dump_pair, pair_record
+    from tiltcal.files.pair import pair_record
 
     Path("p.yaml").write_bytes(damaged_yaml(draw, golden("rotation.yaml")))
-    dump_pair(pair_record(read_document("p.yaml")))
+    _ = pair_record(read_document("p.yaml")).text
 
 
 @target(share=80)

@@ -33,7 +33,7 @@ from tiltcal.core.model import Array, Coefficients, Thermal
 from tiltcal.core.thermal_lag import ThermalLag
 from tiltcal.export.loss import largest_error
 from tiltcal.export.targets import TARGETS, Source, exported
-from tiltcal.files.calibration import CalibrationRecord, SensorIdentity, dump_calibration
+from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
 
 
 def require(*programs: str) -> None:
@@ -178,7 +178,7 @@ def three_axes(unit: str, cross: float = 0.01) -> CalibrationRecord:
 
 
 def export(folder: Path, record: CalibrationRecord, target: str, *, allow: str = "0.1", name: str = "tilt") -> str:
-    (folder / "cal.yaml").write_text(dump_calibration(record))
+    (folder / "cal.yaml").write_text(record.text)
     options = ("--to", target, "--allow", allow, "--name", name, "-o", "out")
     result = tiltcal("export", "cal.yaml", *options, cwd=folder)
     assert result.returncode == 0, result.stderr
@@ -213,7 +213,7 @@ def test_what_an_autopilot_cannot_hold_is_refused(tmp_path: Path) -> None:
     """A cross-axis sensitivity of 1 % is an angle of asin 0.01 = 0.57°."""
     record = three_axes("m/s2", cross=0.0)
     record.coefficients.sensitivity[0, 1] = 0.01 * G
-    (tmp_path / "cal.yaml").write_text(dump_calibration(record))
+    (tmp_path / "cal.yaml").write_text(record.text)
     result = tiltcal("export", "cal.yaml", "--to", "px4", "-o", "out.params", cwd=tmp_path)
     assert result.returncode == 2
     assert "px4 does not hold cross-axis sensitivity" in result.stderr
@@ -232,7 +232,7 @@ def test_what_an_autopilot_cannot_hold_is_refused(tmp_path: Path) -> None:
     ],
 )
 def test_what_does_not_go_together_is_refused(tmp_path: Path, unit: str, options: list[str], message: str) -> None:
-    (tmp_path / "cal.yaml").write_text(dump_calibration(three_axes(unit)))
+    (tmp_path / "cal.yaml").write_text(three_axes(unit).text)
     result = tiltcal("export", "cal.yaml", *options, cwd=tmp_path)
     assert (result.returncode, message in result.stderr) == (2, True), result.stderr
 
@@ -291,7 +291,7 @@ def test_python_follows_the_lag_of_the_element(lag: float) -> None:
 def test_show_prints_coefficients_tilts_and_the_map(tmp_path: Path) -> None:
     """Of a file without uncertainty the map alone; A and b turn the readings of the model back into gravity."""
     record = three_axes("count")
-    (tmp_path / "cal.yaml").write_text(dump_calibration(record))
+    (tmp_path / "cal.yaml").write_text(record.text)
     lines = tiltcal("show", "cal.yaml", "--matrix", cwd=tmp_path).stdout.splitlines()
     rows = np.array([line.split()[-3:] for line in lines[-4:]], dtype=float)
     assert (record.coefficients.predict(directions()) - rows[3]) @ rows[:3].T == pytest.approx(directions(), abs=1e-6)

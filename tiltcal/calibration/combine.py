@@ -19,7 +19,7 @@ import tiltcal
 from tiltcal.calibration import stated
 from tiltcal.calibration.combined_session import KINDS, CombinedSession
 from tiltcal.calibration.comparison import compare_records, require_same_sensor, temperature_of
-from tiltcal.calibration.record import mounting_in_words, stated_mounting, with_mounting
+from tiltcal.calibration.record import mounting_in_words, stated_mounting
 from tiltcal.core.directions import common, tilts
 from tiltcal.core.estimation.equations import BASE
 from tiltcal.core.estimation.estimate import NO_FREEDOM, Estimate, estimate, with_hysteresis
@@ -30,7 +30,7 @@ from tiltcal.core.rounding import plus_minus
 from tiltcal.core.samples import pooled
 from tiltcal.core.uncertain import NORMAL_FACTOR, TURN, Uncertain, selection
 from tiltcal.errors import Argument, EstimateError, Parts, UsageError
-from tiltcal.files.calibration import UNKNOWN_MODEL, CalibrationRecord, dump_calibration, tilt_record
+from tiltcal.files.calibration import UNKNOWN_MODEL, CalibrationRecord, tilt_record
 from tiltcal.files.coefficients import Uncertainty
 from tiltcal.files.document import parse_document
 from tiltcal.files.results import NOISE_ALONE, CompletingRun, FileRecord, ProcedureRecord, Provenance
@@ -51,7 +51,7 @@ def combine_records(
         raise UsageError(("name two calibrations or more, or a ", Argument("mounting")))
     _require_consistent(sessions)
     if turned is not None:
-        sessions = [replace(session, record=with_mounting(session.record, turned)) for session in sessions]
+        sessions = [replace(session, record=session.record.with_mounting(turned)) for session in sessions]
     if len(sessions) == 1:
         return replace(sessions[0].record, provenance=_provenance(sessions))
     mounted = {s.label: s.coefficients.mounting for s in sessions if s.coefficients.mounting is not None}
@@ -84,7 +84,7 @@ def _sessions(calibrations: Iterable[CalibrationRecord | str | Path]) -> list[Co
     journals: set[str | None] = set()
     for given in calibrations:
         if isinstance(given, CalibrationRecord):
-            label, record, text = given.procedure.name or "a calibration", given, dump_calibration(given)
+            label, record, text = given.procedure.name or "a calibration", given, given.text
         elif isinstance(given, str | Path):
             label, text = Path(given).name, read_text(given)
             record = tilt_record(parse_document(text, str(given)))

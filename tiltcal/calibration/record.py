@@ -12,15 +12,15 @@ import numpy as np
 
 from tiltcal.calibration.stated import length_tolerance, stated_uncertainty
 from tiltcal.core.angle_uncertainty import CompensationWithUncertainty
-from tiltcal.core.attitude import is_locked
 from tiltcal.core.compensation import Compensation
 from tiltcal.core.model import AXES, Array, Coefficients, Limits, Mounting
 from tiltcal.core.uncertain import TURN, Uncertain
 from tiltcal.errors import Argument, EstimateError, InputError, UsageError
-from tiltcal.files.calibration import UNKNOWN_MODEL, BaseFile, CalibrationRecord, read_calibration, tilt_record
+from tiltcal.files.calibration import UNKNOWN_MODEL, BaseFile, CalibrationRecord, read_calibration
+from tiltcal.files.calibration_output import calibration_in
 from tiltcal.files.coefficients import ANGLES, LARGEST_ANGLES, in_degrees
 from tiltcal.files.document import Document
-from tiltcal.files.pair import PairRecord, pair_record
+from tiltcal.files.pair import PairRecord
 from tiltcal.files.yaml_text import read_text
 from tiltcal.stated_arguments import is_number, named_values, require_boolean, require_path, shown
 
@@ -28,16 +28,13 @@ if TYPE_CHECKING:
     from tiltcal.drivers.model import Model
     from tiltcal.files.procedure import Procedure
 
-_ROUNDED = 1e-9  # of a stated pitch, radians: at 90° roll and yaw together are determined
-
 
 def record_in(document: Document) -> CalibrationRecord | PairRecord:
     """Return the calibration of a document, of either kind; an InputError where anything in it is wrong."""
-    if document.kind == "pair":
-        return pair_record(document)
-    record = tilt_record(document)
+    record = calibration_in(document)
     try:
-        Compensation(record.coefficients)
+        if isinstance(record, CalibrationRecord):
+            Compensation(record.coefficients)
     except EstimateError as failure:
         raise InputError(failure.words, file=document.file) from failure
     return record
@@ -89,19 +86,6 @@ def stated_mounting(angles: Mapping[str, float] | str) -> Mounting:
 def mounting_in_words(mounting: Mounting) -> str:
     """Return the angles as ``--mounting`` takes them."""
     return ",".join(f"{name}={in_degrees(getattr(mounting, name)):g}" for name in ANGLES)
-
-
-def with_mounting(calibration: CalibrationRecord, mounting: Mounting) -> CalibrationRecord:
-    """Return a calibration with a mounting that is known, and exact; one that it has is replaced."""
-    return replace(
-        calibration,
-        coefficients=replace(calibration.coefficients, mounting=mounting),
-        uncertainty=calibration.uncertainty.without_mounting(),
-        derived=calibration.derived.replaced(gimbal_lock=is_locked(mounting.pitch, _ROUNDED)),
-        fit=calibration.fit.replaced(mounting=None),
-        procedure=calibration.procedure.replaced(mounting=None),
-        positions=calibration.positions_with(mounting=()),
-    )
 
 
 POINTS = 121  # tilts of an axis at which the uncertainty is calculated

@@ -7,7 +7,7 @@ positions, provenance) are records for people and later questions. Every key and
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from math import radians
 from pathlib import Path
@@ -16,9 +16,9 @@ from typing import Annotated
 from msgspec import Meta
 
 from tiltcal.core.angle_readings import AngleReadings
-from tiltcal.core.attitude import normalised
+from tiltcal.core.attitude import is_locked, normalised
 from tiltcal.core.directions import tilts
-from tiltcal.core.model import Coefficients, Limits, values
+from tiltcal.core.model import Coefficients, Limits, Mounting, values
 from tiltcal.core.uncertain import Uncertain, uncertain_at
 from tiltcal.drivers.model import SLOPES
 from tiltcal.files.coefficients import (
@@ -42,13 +42,13 @@ from tiltcal.files.results import (
     PositionRecord,
     ProcedureRecord,
     Provenance,
+    Sensors,
 )
 from tiltcal.files.yaml_text import yaml_text
 from tiltcal.units import CONVENTIONS
 
 UNKNOWN_MODEL = "recorded"  # the model in a file of `fit`, where the user named none
-
-
+_ROUNDED = 1e-9  # of a stated pitch, radians: at 90° roll and yaw together are determined
 ANGLE = "angle"
 INCLINATION, EULER = CONVENTIONS
 
@@ -146,6 +146,40 @@ class CalibrationRecord:
         return uncertain_at(self.coefficients, self.uncertain, reference)
 
     @property
+    def text(self) -> str:
+        """The text of its file, its numbers as they are: round them before."""
+        limits = self.limits
+        ranges = limits.tilt.items() if limits.directions is None else ()
+        tilt = {axis: (in_degrees(low), in_degrees(high)) for axis, (low, high) in ranges}
+        file = TiltFile(
+            sensor=self.sensor,
+            calibration=coefficients_section(self.coefficients),
+            uncertainty=uncertainty_section(self.uncertainty),
+            limits=LimitsSection(
+                directions=limits.directions, tilt=tilt, temperature=limits.temperature, reading=limits.reading
+            ),
+            **{name: getattr(self, name) for name in RECORDS},
+        )
+        return yaml_text(file_data("tilt", file), _comments(self.sensor))
+
+    @property
+    def sensors(self) -> Sensors:
+        """What it is of, so that its file replaces no other."""
+        return ("tilt", (self.sensor.model, self.sensor.serial))
+
+    def with_mounting(self, mounting: Mounting) -> CalibrationRecord:
+        """Return a calibration with a mounting that is known, and exact; one that it has is replaced."""
+        return replace(
+            self,
+            coefficients=replace(self.coefficients, mounting=mounting),
+            uncertainty=self.uncertainty.without_mounting(),
+            derived=self.derived.replaced(gimbal_lock=is_locked(mounting.pitch, _ROUNDED)),
+            fit=self.fit.replaced(mounting=None),
+            procedure=self.procedure.replaced(mounting=None),
+            positions=self.positions_with(mounting=()),
+        )
+
+    @property
     def runs(self) -> tuple[tuple[PositionRecord, ...], ...]:
         """The positions of the calibration itself, of its mounting and of its level."""
         completing = (self.procedure.mounting, self.procedure.level)
@@ -224,23 +258,6 @@ def _by_name(
 def read_calibration(path: str | Path) -> CalibrationRecord:
     """Read and check a calibration file; an InputError names file, line and key."""
     return tilt_record(read_document(path))
-
-
-def dump_calibration(calibration: CalibrationRecord) -> str:
-    """Return the text of a calibration file, its numbers as they are: round them before."""
-    limits = calibration.limits
-    ranges = limits.tilt.items() if limits.directions is None else ()
-    tilt = {axis: (in_degrees(low), in_degrees(high)) for axis, (low, high) in ranges}
-    file = TiltFile(
-        sensor=calibration.sensor,
-        calibration=coefficients_section(calibration.coefficients),
-        uncertainty=uncertainty_section(calibration.uncertainty),
-        limits=LimitsSection(
-            directions=limits.directions, tilt=tilt, temperature=limits.temperature, reading=limits.reading
-        ),
-        **{name: getattr(calibration, name) for name in RECORDS},
-    )
-    return yaml_text(file_data("tilt", file), _comments(calibration.sensor))
 
 
 class BaseFile(Record):

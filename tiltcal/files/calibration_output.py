@@ -9,11 +9,14 @@ from pathlib import Path
 from tiltcal.errors import Argument, EstimateError, InputError, UsageError
 from tiltcal.files.atomic import check_writable, write_whole
 from tiltcal.files.calibration import CalibrationRecord, tilt_record
-from tiltcal.files.document import parse_document, read_document
+from tiltcal.files.document import Document, parse_document, read_document
 from tiltcal.files.pair import PairRecord, pair_record
+from tiltcal.files.results import Sensors
 
-Sensors = tuple[str | tuple[str, str], ...]
-"""The kind of a calibration, then model and serial number of each of its sensors; a matching of a log states none."""
+
+def calibration_in(document: Document) -> CalibrationRecord | PairRecord:
+    """Return the content of a calibration file of either kind, checked; an InputError names file, line and key."""
+    return pair_record(document) if document.kind == "pair" else tilt_record(document)
 
 
 def write_calibration(
@@ -25,8 +28,7 @@ def write_calibration(
     """
     replaced = require_replaceable(path, sensors)
     try:
-        document = parse_document(text)
-        _ = pair_record(document) if sensors[0] == "pair" else tilt_record(document)
+        calibration_in(parse_document(text))
     except InputError as contradiction:
         why = f"{path} is not written, for the result contradicts itself: {contradiction}"
         raise EstimateError(why, advice="leave out the sessions that disagree") from None
@@ -47,22 +49,13 @@ def require_replaceable(path: str | Path, sensors: Sensors | None = None, *read:
         return ""
     advice = ("move it away, or name another file with ", Argument("output"))
     try:
-        document = read_document(path)
-        there = pair_record(document) if document.kind == "pair" else tilt_record(document)
+        there = calibration_in(read_document(path))
     except InputError:
         raise UsageError(f"cannot write {path}: the file there is no calibration", advice=advice) from None
-    if sensors is not None and (found := sensors_of(there)) != sensors:
+    if sensors is not None and (found := there.sensors) != sensors:
         why = f"cannot write {path}: the file there is the calibration of {_named(found)}, not of {_named(sensors)}"
         raise UsageError(why, advice=advice)
     return f"{path}: the calibration of {there.provenance.ended or 'no date'} is replaced"
-
-
-def sensors_of(record: CalibrationRecord | PairRecord) -> Sensors:
-    """Return what a calibration is of."""
-    if isinstance(record, CalibrationRecord):
-        return ("tilt", (record.sensor.model, record.sensor.serial))
-    bench = record.provenance.bench
-    return ("pair", *((one.model or "", one.serial or "") for one in (bench.sensors if bench else ())))
 
 
 def _named(sensors: Sensors) -> str:

@@ -13,7 +13,7 @@ from tiltcal.core.pair.model import Pair
 from tiltcal.core.rounding import round_to, significant
 from tiltcal.files.document import Document
 from tiltcal.files.record import AboveZero, Finite, Record, Size, Text, about, file_data, one_of
-from tiltcal.files.results import PairProvenance
+from tiltcal.files.results import PairProvenance, Sensors
 from tiltcal.files.yaml_text import yaml_text
 
 T = TypeVar("T")
@@ -84,6 +84,28 @@ class PairRecord:
     matchings: tuple[Matching, ...]
     provenance: PairProvenance = PairProvenance()
 
+    @property
+    def text(self) -> str:
+        """The text of its file; numbers have the digits that their uncertainty warrants."""
+        comments = {"spin.frequency": "Hz", "pairs": "the sum is first + (second + q orthogonal) / (1 - p)"}
+        spin, frequency = self.spin, self.spin.frequency
+        file = PairFile(
+            spin=spin.replaced(
+                turns=significant(spin.turns, _SPIN_DIGITS),
+                frequency=None if frequency is None else significant(frequency, _SPIN_DIGITS),
+            ),
+            online=self.online,
+            pairs=tuple(map(_entry_of, self.matchings)),
+            provenance=self.provenance,
+        )
+        return yaml_text(file_data("pair", file), comments)
+
+    @property
+    def sensors(self) -> Sensors:
+        """What it is of, so that its file replaces no other."""
+        bench = self.provenance.bench
+        return ("pair", *((one.model or "", one.serial or "") for one in (bench.sensors if bench else ())))
+
 
 def pair_record(document: Document) -> PairRecord:
     """Return the content of a pair file, checked; an InputError names file, line and key."""
@@ -141,19 +163,3 @@ def _entry_of(matching: Matching) -> PairEntry:
     )
     suppression = {name: significant(value, _DIGITS) for name, value in _matching(entry).suppression.items()}
     return entry.replaced(suppression=Suppression(**suppression))
-
-
-def dump_pair(calibration: PairRecord) -> str:
-    """Return the text of a pair file; numbers have the digits that their uncertainty warrants."""
-    comments = {"spin.frequency": "Hz", "pairs": "the sum is first + (second + q orthogonal) / (1 - p)"}
-    spin, frequency = calibration.spin, calibration.spin.frequency
-    file = PairFile(
-        spin=spin.replaced(
-            turns=significant(spin.turns, _SPIN_DIGITS),
-            frequency=None if frequency is None else significant(frequency, _SPIN_DIGITS),
-        ),
-        online=calibration.online,
-        pairs=tuple(map(_entry_of, calibration.matchings)),
-        provenance=calibration.provenance,
-    )
-    return yaml_text(file_data("pair", file), comments)

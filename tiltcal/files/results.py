@@ -35,6 +35,8 @@ VIRTUAL = "the virtual bench: no real sensor was measured"  # ``made_by`` of a f
 Names = tuple[Text, ...]
 ByName = Mapping[str, Size]
 BySerial = Mapping[str, Mapping[str, Count]]
+Sensors = tuple[str | tuple[str, str], ...]
+"""The kind of a calibration, then model and serial number of each of its sensors; a matching of a log states none."""
 Direction = Annotated[tuple[Finite, ...], Meta(min_length=3, max_length=3)]
 
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from tiltcal.errors import JournalError
-from tiltcal.files.calibration import CalibrationRecord, SensorIdentity, dump_calibration
+from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
 from tiltcal.files.moments import stamp
 from tiltcal.files.pair import PairRecord
 from tiltcal.files.procedure import Rotation
@@ -43,15 +43,7 @@ class SessionResult:
 
     def texts(self) -> dict[str, str]:
         """Return the texts of the calibration files by serial number."""
-        return {serial: _text(record) for serial, record in self.calibrations.items()}
-
-
-def _text(record: CalibrationRecord | PairRecord) -> str:
-    if isinstance(record, CalibrationRecord):
-        return dump_calibration(record)
-    from tiltcal.files.pair import dump_pair
-
-    return dump_pair(record)
+        return {serial: record.text for serial, record in self.calibrations.items()}
 
 
 def calibrations_of(journal: Journal) -> SessionResult:

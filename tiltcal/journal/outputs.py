@@ -9,8 +9,9 @@ from shlex import quote
 
 from tiltcal.errors import Argument, UsageError
 from tiltcal.files.atomic import check_writable
-from tiltcal.files.calibration_output import Sensors, require_replaceable, write_calibration
+from tiltcal.files.calibration_output import require_replaceable, write_calibration
 from tiltcal.files.procedure import Rotation
+from tiltcal.files.results import Sensors
 from tiltcal.journal.header import Setup
 from tiltcal.journal.lines import Journal
 

@@ -11,18 +11,18 @@ from pathlib import Path
 from typing import Any, TypeVar, Unpack, overload
 
 from tiltcal.calibration.comparison import Comparison, compare_records
-from tiltcal.calibration.record import compensation_of, limits_of, record_in, stated_mounting, with_mounting
+from tiltcal.calibration.record import compensation_of, limits_of, record_in, stated_mounting
 from tiltcal.calibration.wording import pair_summary, summary
 from tiltcal.core.compensation import Compensation
 from tiltcal.core.model import Coefficients
 from tiltcal.core.pair.compensation import PairCompensation
 from tiltcal.core.pair.matching import Matching
 from tiltcal.errors import UsageError
-from tiltcal.files.calibration import CalibrationRecord, SensorIdentity, dump_calibration
-from tiltcal.files.calibration_output import sensors_of, write_calibration
+from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
+from tiltcal.files.calibration_output import write_calibration
 from tiltcal.files.coefficients import Uncertainty
 from tiltcal.files.document import read_document
-from tiltcal.files.pair import PairRecord, dump_pair
+from tiltcal.files.pair import PairRecord
 from tiltcal.files.results import (
     DerivedRecord,
     FitRecord,
@@ -45,11 +45,6 @@ class SavedCalibration:
 
     record: Any
 
-    @property
-    def _text(self) -> str:
-        """The text of its file."""
-        return dump_pair(self.record) if isinstance(self.record, PairRecord) else dump_calibration(self.record)
-
     def save(self, path: str | Path, say: Callable[[str], None] | None = None) -> None:
         """Write the calibration file, whole or not at all.
 
@@ -65,7 +60,7 @@ class SavedCalibration:
         UsageError
             The file cannot be written there.
         """
-        write_calibration(path, self._text, sensors_of(self.record), say)
+        write_calibration(path, self.record.text, self.record.sensors, say)
 
     def report(self, path: str | Path) -> None:
         """Write the HTML page that is filed with the sensor; it needs no other file, and prints on A4.
@@ -81,10 +76,10 @@ class SavedCalibration:
 
     def __eq__(self, other: object) -> bool:
         """Whether both give the same file."""
-        return isinstance(other, type(self)) and self._text == other._text
+        return isinstance(other, type(self)) and self.record.text == other.record.text
 
     def __hash__(self) -> int:
-        return hash(self._text)
+        return hash(self.record.text)
 
     _repr_html_ = in_html
 
@@ -290,7 +285,7 @@ class Calibration(SavedCalibration, Applicable):
         UsageError
             An angle that there is not, or out of range.
         """
-        return Calibration(with_mounting(self.record, stated_mounting(angles)))
+        return Calibration(self.record.with_mounting(stated_mounting(angles)))
 
     def __repr__(self) -> str:
         sensor = self.sensor

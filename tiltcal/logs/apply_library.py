@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tiltcal.calibration.record import limits_of, stated_mounting, with_mounting
+from tiltcal.calibration.record import limits_of, stated_mounting
 from tiltcal.calibration.season import CalibrationFolder, SensorHistory
 from tiltcal.calibration.stated import length_tolerance
 from tiltcal.calibration.wording import objections
@@ -135,7 +135,7 @@ class LibraryKernel:
         records = [one.record for one in history.calibrations]
         if options["mounting"]:  # it replaces that of each
             mounting = stated_mounting(options["mounting"])
-            records = [with_mounting(one, mounting) for one in records]
+            records = [one.with_mounting(mounting) for one in records]
         self._length = max(map(length_tolerance, records))
         rails = limits_of(records[-1]).reading
         self._rails = {channel: rails.get(channel, (-inf, inf)) for channel in last.channels}

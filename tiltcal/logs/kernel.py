@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import tiltcal
-from tiltcal.calibration.record import compensation_of, stated_mounting, with_mounting
+from tiltcal.calibration.record import compensation_of, stated_mounting
 from tiltcal.calibration.stated import stated_uncertainty
 from tiltcal.calibration.wording import objections
 from tiltcal.core.angle_uncertainty import CompensationWithUncertainty, uncertainty_columns, uncertainty_table
@@ -237,7 +237,7 @@ def prepare(
     if not isinstance(calibration, CalibrationRecord):
         raise UsageError(f"name a calibration or its file, not {calibration!r}")
     if options["mounting"]:
-        calibration = with_mounting(calibration, stated_mounting(options["mounting"]))
+        calibration = calibration.with_mounting(stated_mounting(options["mounting"]))
     coefficients, sensor = calibration.coefficients, calibration.sensor
     for objection in objections(calibration):
         say(f"note: the calibration of {sensor.serial}: {objection}")

@@ -13,8 +13,8 @@ from tiltcal.calibration.record import tilt_uncertainty
 from tiltcal.calibration.season import FleetHistory
 from tiltcal.calibration.wording import suppressed
 from tiltcal.files.atomic import check_writable, write_whole
-from tiltcal.files.calibration import CalibrationRecord, dump_calibration
-from tiltcal.files.pair import PairRecord, dump_pair
+from tiltcal.files.calibration import CalibrationRecord
+from tiltcal.files.pair import PairRecord
 from tiltcal.files.results import FileRecord
 from tiltcal.report import sentences, tables
 from tiltcal.report.calibration_figures import residual_figure, temperature_figure, tilt_figure
@@ -41,10 +41,10 @@ def write_page(path: str | Path, calibration: CalibrationRecord | PairRecord) ->
     require_extra()
     check_writable(path)
     if isinstance(calibration, PairRecord):
-        text = pair_page(calibration, FileRecord.of_text("pairs.yaml", dump_pair(calibration)))
+        text = pair_page(calibration, FileRecord.of_text("pairs.yaml", calibration.text))
     else:
         name = f"{calibration.sensor.serial}.yaml"
-        text = tilt_page(calibration, FileRecord.of_text(name, dump_calibration(calibration)))
+        text = tilt_page(calibration, FileRecord.of_text(name, calibration.text))
     write_whole(path, text)
 
 
