@@ -19,7 +19,8 @@ from functools import cached_property, partial
 from math import isfinite
 from typing import Any, NamedTuple
 
-from tiltcal.dialect import AXES, TEMPERATURE, TIME, flattened, labels_of, meaning, printed, without_clock
+from tiltcal.column_names import AXES, TEMPERATURE, TIME, meaning
+from tiltcal.dialect import flattened, labels_of, printed, without_clock
 from tiltcal.drivers.bus import Link
 from tiltcal.drivers.bus.address import Address, parse_address
 from tiltcal.drivers.bus.clock import Clock

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from functools import partial
 from math import isfinite
 
-from tiltcal.dialect import TEMPERATURE, TIME
+from tiltcal.column_names import TEMPERATURE, TIME
 from tiltcal.drivers.bus import Link
 from tiltcal.drivers.bus.address import Address, parse_address
 from tiltcal.drivers.bus.clock import Clock

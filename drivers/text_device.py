@@ -19,7 +19,7 @@ from math import isfinite
 from operator import xor
 from typing import Any
 
-from tiltcal.dialect import TEMPERATURE
+from tiltcal.column_names import TEMPERATURE
 from tiltcal.drivers.bus import Link
 from tiltcal.drivers.bus.clock import Clock
 from tiltcal.drivers.columns import CHUNK, LONGEST, UNUSABLE, Scale, channels_of, model_of_numbers

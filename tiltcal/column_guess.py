@@ -8,7 +8,9 @@ from math import hypot, log2
 from statistics import median
 from typing import NamedTuple
 
-from tiltcal.dialect import AXES, TEMPERATURE, Dialect, dialect_of, kind_of, meaning, split, without_clock
+from tiltcal.column_names import AXES, TEMPERATURE, meaning
+from tiltcal.dialect import Dialect, kind_of, split, without_clock
+from tiltcal.log_head import dialect_of
 from tiltcal.units import READINGS, is_unit, spelt, split_unit
 
 LENGTHS: Mapping[str, tuple[float, float]] = {

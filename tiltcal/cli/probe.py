@@ -11,7 +11,7 @@ from tiltcal.bench.devices import open_sensor
 from tiltcal.cli import options
 from tiltcal.cli.talk import progress_bar
 from tiltcal.column_guess import guess
-from tiltcal.dialect import AXES
+from tiltcal.column_names import AXES
 from tiltcal.drivers import find_model
 from tiltcal.drivers.bus import open_link
 from tiltcal.drivers.bus.address import Address, parse_address

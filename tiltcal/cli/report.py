@@ -13,7 +13,7 @@ from tiltcal.cli import options
 from tiltcal.cli.history import read_history
 from tiltcal.cli.match import spectra_of
 from tiltcal.cli.talk import progress_bar, remark
-from tiltcal.dialect import TIME
+from tiltcal.column_names import TIME
 from tiltcal.errors import EstimateError, UsageError
 from tiltcal.files.atomic import check_writable, write_whole
 from tiltcal.files.calibration import CalibrationRecord, tilt_record

@@ -12,7 +12,7 @@ from typing import Annotated
 
 from msgspec import Meta
 
-from tiltcal.dialect import AXES, TEMPERATURE
+from tiltcal.column_names import AXES, TEMPERATURE
 from tiltcal.drivers import find_model
 from tiltcal.drivers.columns import RAIL, Scale
 from tiltcal.drivers.model import Model

@@ -12,14 +12,16 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any
 
+from tiltcal.column_names import meaning
 from tiltcal.core.attitude import Vector, normalised
 from tiltcal.core.model import AXES
-from tiltcal.dialect import SEPARATORS, WITH_COMMA, Dialect, dialect_of, meaning, split
+from tiltcal.dialect import WITH_COMMA, Dialect, split
 from tiltcal.errors import InputError
 from tiltcal.files.document import Document, document_of, parse_document
 from tiltcal.files.procedure_file import Temperature
 from tiltcal.files.record import AboveZero, Count, FromOne, Number, Record, Text, about, keys_of
 from tiltcal.files.yaml_text import read_text
+from tiltcal.log_head import SEPARATORS, dialect_of
 from tiltcal.stated_arguments import require_printable
 from tiltcal.units import split_unit
 

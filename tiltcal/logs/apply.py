@@ -15,10 +15,10 @@ import numpy as np
 
 from tiltcal.calibration.record import record_in
 from tiltcal.calibration.season import CalibrationFolder
+from tiltcal.column_names import TEMPERATURE, TIME
 from tiltcal.core.column_statistics import ColumnStatistics
 from tiltcal.core.earth_frame import VELOCITY, FieldLength
 from tiltcal.core.flags import FLAGS, REASONS, count_flags
-from tiltcal.dialect import TEMPERATURE, TIME
 from tiltcal.errors import Argument, UsageError
 from tiltcal.files.atomic import require_apart
 from tiltcal.files.calibration import CalibrationRecord

@@ -18,12 +18,12 @@ from tiltcal.calibration.record import limits_of, stated_mounting
 from tiltcal.calibration.season import CalibrationFolder, SensorHistory
 from tiltcal.calibration.stated import length_tolerance
 from tiltcal.calibration.wording import objections
+from tiltcal.column_names import TIME
 from tiltcal.core.attitude import mounting_matrix
 from tiltcal.core.earth_frame import HEADING, full_circle
 from tiltcal.core.flags import OUTSIDE_TIME, SUSPECT, mark_columns
 from tiltcal.core.model import Array
 from tiltcal.core.tilt_angles import DIRECTIONS, tilt, tilts_of_three
-from tiltcal.dialect import TIME
 from tiltcal.errors import Argument, InputError, Parts, UsageError
 from tiltcal.files.moments import LEAST_SECONDS, MOST_SECONDS, moment
 from tiltcal.logs.columns import named_columns

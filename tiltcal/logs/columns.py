@@ -10,8 +10,8 @@ from typing import IO, TYPE_CHECKING
 
 import numpy as np
 
+from tiltcal.column_names import TEMPERATURE, TIME, best_time, meaning
 from tiltcal.core.model import AXES, Array
-from tiltcal.dialect import TEMPERATURE, TIME, best_time, meaning
 from tiltcal.errors import Argument, InputError, UsageError, Words, parts_of
 from tiltcal.printable import did_you_mean
 from tiltcal.stated_arguments import named_values

@@ -23,12 +23,12 @@ from tiltcal.calibration.measurement import (
 from tiltcal.calibration.priors import SENSITIVITY_FROM
 from tiltcal.calibration.record import bases_of
 from tiltcal.column_guess import LENGTHS
+from tiltcal.column_names import TEMPERATURE, TIME
 from tiltcal.core.estimation.free import fit_free
 from tiltcal.core.model import AXES, Array
 from tiltcal.core.ramp.record import RampRecord, ramp_record
 from tiltcal.core.rounding import significant
 from tiltcal.core.samples import SampleSummary, even_step
-from tiltcal.dialect import TEMPERATURE, TIME
 from tiltcal.drivers.model import OF_G, Model
 from tiltcal.errors import Argument, EstimateError, InputError, UsageError
 from tiltcal.files.calibration import UNKNOWN_MODEL, CalibrationRecord, SensorIdentity, read_calibration

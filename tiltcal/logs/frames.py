@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tiltcal.dialect import TIME
+from tiltcal.column_names import TIME
 from tiltcal.errors import InputError, UsageError
 from tiltcal.logs.cf_attributes import describe, seconds_since_1970
 from tiltcal.logs.log import LogBlock, LogReader, LogSource, Table

@@ -14,6 +14,7 @@ import tiltcal
 from tiltcal.calibration.record import compensation_of, stated_mounting
 from tiltcal.calibration.stated import stated_uncertainty
 from tiltcal.calibration.wording import objections
+from tiltcal.column_names import TIME
 from tiltcal.core.angle_uncertainty import CompensationWithUncertainty, uncertainty_columns, uncertainty_table
 from tiltcal.core.compensation import CHUNK, UNCERTAIN_CHUNK, Compensated, Compensation, KernelChunk
 from tiltcal.core.earth_frame import EarthFrameCompensation
@@ -21,7 +22,6 @@ from tiltcal.core.flags import NO_DIRECTION, NO_TEMPERATURE, SUSPECT, mark_colum
 from tiltcal.core.model import Array
 from tiltcal.core.pair.compensation import PairCompensation
 from tiltcal.core.thermal_lag import ThermalLag
-from tiltcal.dialect import TIME
 from tiltcal.errors import Argument, EstimateError, InputError, UsageError
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.pair import PairRecord

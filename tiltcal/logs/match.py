@@ -15,13 +15,13 @@ from typing import Any
 import numpy as np
 
 import tiltcal
+from tiltcal.column_names import TIME
 from tiltcal.core.model import Array
 from tiltcal.core.pair.demodulate import CHUNK, Demodulation, demodulate
 from tiltcal.core.pair.matching import Matching, PairCoefficients, drifts, match, solve
 from tiltcal.core.pair.model import Pair, matched_sum
 from tiltcal.core.pair.online import Online
 from tiltcal.core.pair.stage import StageRecord, estimated_angle, stage_record
-from tiltcal.dialect import TIME
 from tiltcal.errors import Argument, EstimateError, InputError, Stopped, UsageError
 from tiltcal.files.pair import PairRecord, SpinRecord
 from tiltcal.files.results import LogRecord, PairProvenance

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from tiltcal.column_names import TIME
 from tiltcal.core.detection import Span, moved_rows, stuck_spans
 from tiltcal.core.model import AXES, Array
 from tiltcal.core.noise import (
@@ -25,7 +26,6 @@ from tiltcal.core.noise import (
     sample_size,
     sample_size_by_range,
 )
-from tiltcal.dialect import TIME
 from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.model import OF_G
 from tiltcal.errors import Argument, EstimateError, InputError, UsageError

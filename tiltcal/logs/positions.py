@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from tiltcal.calibration.measurement import Measurement, at_rail
 from tiltcal.calibration.wording import LOST_HOLDS
+from tiltcal.column_names import TEMPERATURE, TIME
 from tiltcal.core.detection import (
     LEFT_OUT,
     TEMPERATURE_JUMP,
@@ -25,7 +26,6 @@ from tiltcal.core.detection import (
 )
 from tiltcal.core.model import Array
 from tiltcal.core.samples import SampleSummary, resolution, summarise
-from tiltcal.dialect import TEMPERATURE, TIME
 from tiltcal.errors import InputError
 from tiltcal.files.moments import stamp_of
 from tiltcal.files.procedure import PositionProcedure

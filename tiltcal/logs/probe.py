@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 
 from tiltcal.column_guess import Guess, guess_of_columns
+from tiltcal.column_names import TEMPERATURE, TIME
 from tiltcal.core.model import AXES, Array
 from tiltcal.core.rounding import significant
-from tiltcal.dialect import TEMPERATURE, TIME, Dialect
+from tiltcal.dialect import Dialect
 from tiltcal.logs.columns import RecordedColumns, column_names, read_columns
 from tiltcal.logs.formats import log_format, open_log
 from tiltcal.logs.formats.csv import CsvReader

@@ -15,9 +15,10 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from tiltcal.dialect import Dialect, dialect_of, quoted, split
+from tiltcal.dialect import Dialect, quoted, split
 from tiltcal.errors import InputError
 from tiltcal.files.moments import LEAST_SECONDS
+from tiltcal.log_head import dialect_of
 from tiltcal.logs.formats.csv_rows import UTF8_BOM, CsvBlock, RowGrammar
 from tiltcal.logs.formats.csv_text import CsvText
 from tiltcal.logs.log import LogBlock, LogReader, LogSource, LogWriter, Table

@@ -17,8 +17,9 @@ from hypothesis import strategies as st
 
 from tests.support.row_grammar import cells_of, readings_of
 from tiltcal.core.model import Array
-from tiltcal.dialect import Dialect, dialect_of
+from tiltcal.dialect import Dialect
 from tiltcal.errors import InputError
+from tiltcal.log_head import dialect_of
 from tiltcal.logs.columns import locate_columns
 from tiltcal.logs.formats import csv_rows
 from tiltcal.logs.formats.csv import CsvReader
