@@ -105,6 +105,10 @@ def test_an_encoder_that_lost_its_zero_while_the_line_was_gone_changes_neither_p
     found = turned([*before.lines(), *gone, *moved.lines()], attendant, turns=30)
     assert attendant.told == ["has gone; the samples before count", "goes on"]
     assert near(found.matchings[0], disk.truth())
+    # By Fourier's sum over ten whole turns and twenty: nothing is lost to the other zero.
+    used = np.r_[0:1000, 1040:3040]
+    whole = 2.0 * abs(np.mean(RECORD.readings[used, 0] * np.exp(1j * np.radians(RECORD.theta[used]))))
+    assert found.matchings[0].components["before"]["a1"].amplitude == pytest.approx(whole, rel=3e-4)
     assert found.provenance.samples.used > 2900
 
 
