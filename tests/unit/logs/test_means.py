@@ -74,6 +74,8 @@ class TestGroups:
         found = cal.apply(rows(time=time), every="10s")
         assert found["count"].tolist() == [2, 3, 1]
         assert found["time"] == pytest.approx([8.0, (10.0 + 19.9) / 2, 41.0])
+        again = cal.apply(rows(time=[6.0, 7.0, 8.0, 9.0, 1.0, 2.0, 3.0]), every="10s")  # of a logger that was restarted
+        assert again["count"].tolist() == [4, 3]
         with pytest.raises(InputError, match=r"the frame: none of the first rows \(2\) has a time, which .* mean"):
             cal.apply(rows(time=[nan, nan]), every="10s")
 
