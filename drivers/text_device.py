@@ -214,7 +214,7 @@ class TextSensor(Sensor):
                 raise BusError(f"{error}; {self._unlike()}") if self.heard else error from error
             out = b""
             self._text += arrived
-            self.heard = (self.heard + arrived)[-LONGEST:]
+            self.heard += arrived
 
     def _unlike(self) -> str:
         """Count what came as damaged; return what it was, and how far the pattern matches it."""

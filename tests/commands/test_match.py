@@ -210,7 +210,7 @@ class TestRefusals:
         for options, said in (
             ({"spin": 0.0225}, "turns"),  # less than two
             ({"spin": 0.0}, "turn"),
-            ({"spin": -0.125}, "backwards"),
+            ({"spin": -0.125}, "has 0.00 turns of the stage; at least 2 are needed"),  # backwards
             ({"scale": (3.4, 0.03, 3.4, 3.4)}, "too near to 1"),
         ):
             path = small(tmp_path, **options)
