@@ -135,7 +135,7 @@ class TestWhatIsWrongWithALog:
         path = written(tmp_path / "l.csv", samples)
         ((begin, end),) = as_json(path)["moved"]
         assert begin <= 25.0 <= end
-        assert "it was not still" in noise(path).stderr
+        assert f"moved or knocked from {begin:.4g} to {end:.4g} s; the numbers are" in noise(path).stderr
 
     def test_stuck_readings_are_named(self, tmp_path: Path) -> None:
         samples = np.round(counts(4000) * 2) / 2

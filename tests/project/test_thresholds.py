@@ -32,5 +32,6 @@ def test_every_threshold_has_its_value() -> None:
     for package, table in TABLE.items():
         found = constants(package)
         for name, value in table.items():
-            for one in value["each"] if isinstance(value, dict) else [value]:
-                assert one in found[name], (package, name, found[name])
+            values, there = value["each"] if isinstance(value, dict) else [value], found[name]
+            assert all(one in there for one in values), (package, name, there)
+            assert all(one in values for one in there if isinstance(one, float | int)), (package, name, there)
