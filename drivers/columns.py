@@ -350,21 +350,21 @@ def scale_at(address: Address, channels: tuple[str, ...], unit_option: str = "un
 def model_of_numbers(scale: Scale, channels: tuple[str, ...], thermometer: bool, **facts: Any) -> Model:
     """Return the model of a device that sends numbers."""
     default = OF_G.get(scale.unit)
-    sensitivity = scale.sensitivity or default or OF_TILT.get(scale.unit, UNKNOWN)
+    sensitivity = scale.sensitivity or default or OF_TILT.get(scale.unit)
     offset = scale.offset or 0.0
     return Model(
         channels=channels,
         unit=scale.unit,
         angles=scale.angles,
         offset=offset,
-        sensitivity=sensitivity,
+        sensitivity=sensitivity or UNKNOWN,
         offset_spread=OFFSET_SPREAD if scale.offset is not None or default is not None else ANYWHERE,
         sensitivity_spread=0.1,
-        scaled=default is not None or scale.sensitivity is not None,
+        scaled=sensitivity is not None,
         rails=(scale.low, scale.high),
         thermometer=thermometer,
         default_truth=lambda seed: (OF_ANGLES if scale.unit in OF_TILT else LIMITS).draw(
-            channels, sensitivity, abs(sensitivity) * 0.001, seed, offset
+            channels, sensitivity or UNKNOWN, abs(sensitivity or UNKNOWN) * 0.001, seed, offset
         ),
         **facts,
     )

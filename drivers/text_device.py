@@ -41,7 +41,13 @@ _ANY_END = r"[\r\n]+"
 _NUMBER = re.compile(r"([+-]?) *([0-9]+(?:\.([0-9]*))?|\.([0-9]+))(?:[eE]([+-]?[0-9]{1,3}))?")
 _LEFT_OVER = re.compile(r"(?<![\w.])[-+]?(?:\d+[.,]?\d*|[.,]\d+)(?![\w.])")
 _TOUCHES = re.compile(r"[\w.,+-]")
-_FORMS = ("{:+07.3f}", "{:.3f}", "{:.2f}", "{:.1f}", "{:.0f}", "{:+.2f}", "{:+.1f}", "{:+.0f}")
+_FORMS = [
+    f"{{:{sign}{width}.{places}f}}"
+    for places in (3, 2, 1, 0, 4, 5, 6)
+    for width in ("07", "", "06", "08", "09", "7", "8", "9")
+    for sign in ("+", "")
+]
+_INTRICATE = "the virtual part can make no answer of this pattern: write it simpler"
 _CATEGORIES = {"CATEGORY_SPACE": " ", "CATEGORY_DIGIT": "0", "CATEGORY_WORD": "a", "CATEGORY_NOT_SPACE": "a"}
 
 
@@ -279,45 +285,48 @@ class TextSensor(Sensor):
 
 
 def answer_with(device: TextDevice, numbers: Mapping[str, float]) -> str:
-    """Return an answer with these numbers, in the first form that the pattern takes; without a sign they count to 360.
+    """Return an answer with these numbers, each in the first form that its group takes.
 
     ValueError: the pattern is too intricate for an answer to be made of it.
     """
-    groups = {number: name for name, number in device.pattern.groupindex.items()}
-    for turned, forms in product((0.0, 360.0), product(_FORMS, repeat=len(device.names))):
-        written = {
-            name: form.format(numbers[name] + turned * (numbers[name] < 0.0)).replace(".", _MARKS[device.decimal])
-            for name, form in zip(device.names, forms, strict=True)
-        }
-        text = _of_pattern(device.tree, groups, written)
-        if (match := device.pattern.search(text)) is None or any(match[name] != one for name, one in written.items()):
-            continue
-        if device.checksum:
-            first, last = match.span(CHECKSUM)
-            text = text[:first] + device.summed(match[CHECKED], match[CHECKSUM]) + text[last:]
-        ends = LINE_ENDS.get(device.ends, device.ends) or "\r\n"
-        return text if device.end.search(text, match.end() - 1) else text + ends
-    raise ValueError("the virtual part can make no answer of this pattern: write it simpler")
+    names = {number: name for name, number in device.pattern.groupindex.items()}
 
+    def written(name: str, group: Any) -> str:
+        """Return a number as its group has it; without a sign it counts to 360."""
+        group, number = import_module("re._compiler").compile(group), numbers[name]
+        for turned, form in product((0.0, 360.0), _FORMS):
+            text = form.format(number + turned * (number < 0.0)).replace(".", _MARKS[device.decimal])
+            if group.fullmatch(text):
+                return text
+        raise ValueError(_INTRICATE)
 
-def _of_pattern(tree: Any, groups: Mapping[int, str], numbers: Mapping[str, str]) -> str:
-    """Return the shortest text of a parsed pattern, with a number in each group that has one."""
-    text = ""
-    for operation, value in tree:
-        match str(operation), value:
-            case "LITERAL", code:
-                text += chr(code)
-            case "IN", [(kind, of), *_]:
-                text += _CATEGORIES.get(str(of), "") or chr(of[0] if str(kind) == "RANGE" else of or ord(" "))
-            case "ANY" | "NOT_LITERAL", _:
-                text += " "
-            case "MAX_REPEAT" | "MIN_REPEAT" | "POSSESSIVE_REPEAT", (least, _, item):
-                text += _of_pattern(item, groups, numbers) * least
-            case "SUBPATTERN", (number, _, _, item):
-                text += numbers.get(groups.get(number, ""), "") or _of_pattern(item, groups, numbers)
-            case "BRANCH", (_, [first, *_]):
-                text += _of_pattern(first, groups, numbers)
-    return text
+    def shortest(tree: Any) -> str:
+        """Return the shortest text of a parsed pattern."""
+        text = ""
+        for operation, value in tree:
+            match str(operation), value:
+                case "LITERAL", code:
+                    text += chr(code)
+                case "IN", [(kind, of), *_]:
+                    text += _CATEGORIES.get(str(of), "") or chr(of[0] if str(kind) == "RANGE" else of or ord(" "))
+                case "ANY" | "NOT_LITERAL", _:
+                    text += " "
+                case "MAX_REPEAT" | "MIN_REPEAT" | "POSSESSIVE_REPEAT", (least, _, item):
+                    text += shortest(item) * least
+                case "SUBPATTERN", (number, _, _, item):
+                    text += written(names[number], item) if names.get(number) in device.names else shortest(item)
+                case "BRANCH", (_, [first, *_]):
+                    text += shortest(first)
+        return text
+
+    text = shortest(device.tree)
+    if (match := device.pattern.search(text)) is None or not all(map(match.group, device.names)):
+        raise ValueError(_INTRICATE)
+    if device.checksum:
+        first, last = match.span(CHECKSUM)
+        text = text[:first] + device.summed(match[CHECKED], match[CHECKSUM]) + text[last:]
+    ends = LINE_ENDS.get(device.ends, device.ends) or "\r\n"
+    return text if device.end.search(text, match.end() - 1) else text + ends
 
 
 def virtual_text_device(device: TextDevice, truth: Truth, fixture: HeldPose, clock: Clock) -> StreamingPart:

@@ -10,6 +10,7 @@ import numpy as np
 
 from tiltcal.bench.guidance import COARSE, JIGS, SensorGuidance, calibrated_guidance, guidance
 from tiltcal.bench.settle import Unsettled
+from tiltcal.calibration.angle_units import identified, shows_convention, too_steep
 from tiltcal.calibration.measurement import Measurement, missing_temperature
 from tiltcal.calibration.record import compensation_of
 from tiltcal.core.angle_readings import AngleReadings
@@ -26,9 +27,9 @@ from tiltcal.core.detection import (
 )
 from tiltcal.core.plausibility import ExpectedReadings
 from tiltcal.core.samples import resolution
-from tiltcal.drivers.model import OF_TILT, SLOPES, Model, Reading
+from tiltcal.drivers.model import Model, Reading
 from tiltcal.files.bench import BenchSensor
-from tiltcal.files.calibration import CalibrationRecord
+from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
 from tiltcal.files.procedure import FreePositions, MountingCompletion, Position
 from tiltcal.journal.header import Setup
 from tiltcal.journal.playback import Sample
@@ -114,6 +115,12 @@ def require_plausible_temperature(result: PositionResult, accepted: Sequence[Pos
                 raise Unsettled(f"{temperature:g} °C {source}, and {other:g} °C {whose}: one of them is wrong")
 
 
+def _angles_of(model: Model, stated: str | None) -> AngleReadings | None:
+    """Return how a device prints angles; None where it prints none."""
+    identity = SensorIdentity(model.name, "", model.unit, model.channels, angles=stated or model.angles)
+    return identified(identity).angle_readings
+
+
 class Expectations:
     """What the ``accepted`` positions so far, and the models, predict of the readings of each sensor.
 
@@ -154,12 +161,19 @@ class Expectations:
             model.sensitivity,
             model.offset_spread,
             model.sensitivity_spread,
-            AngleReadings(SLOPES.get(model.unit, 0.0)) if model.unit in OF_TILT else None,
+            _angles_of(model, self._setup.settings.angles),
         )
         for result in self._accepted:
             before = result.measurements[serial]
-            readings.learn(before.gravity, result.mean(serial), before.temperature)
+            if self._foreseen(model, before.gravity):
+                readings.learn(before.gravity, result.mean(serial), before.temperature)
         return readings
+
+    def _foreseen(self, model: Model, up: Vector) -> bool:
+        """Return whether it is known what a channel prints there: not near ±90°, nor of a convention that counts."""
+        angles = _angles_of(model, self._setup.settings.angles)
+        shown = angles is not None and angles.euler is None and shows_convention([up])
+        return not (shown or too_steep(up, model.channels, angles))
 
     def guidance(
         self, serial: str, values: Sequence[float], gravity: Vector, temperature: float | None
@@ -242,6 +256,8 @@ class Expectations:
     def _objection(self, sensor: BenchSensor, result: PositionResult) -> str | None:
         """Return why a sensor sees a position as another one, or an attitude that is there already."""
         readings, serial = self._readings[sensor.serial], sensor.serial
+        if not self._foreseen(sensor.wired, result.measurements[serial].gravity):
+            return None
         if self._free:
             before = {one.position.name: one.mean(serial) for one in self._accepted}
             return readings.repeated(before, result.mean(serial)) if len(sensor.wired.channels) == 3 else None

@@ -11,7 +11,7 @@ from math import cos, radians, sin
 
 import numpy as np
 
-from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement
+from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor
 from tiltcal.core.angle_readings import CONVENTION_SHOWS, USABLE, AngleReadings, reads_steep
 from tiltcal.core.model import AXES
 from tiltcal.core.samples import SampleSummary
@@ -76,10 +76,10 @@ def _in_degrees(summary: SampleSummary, readings: AngleReadings) -> SampleSummar
     return replace(summary, mean=float(readings.angle(mean)), **sizes)
 
 
-def shows_convention(measurements: Sequence[Measurement]) -> bool:
+def shows_convention(attitudes: Sequence[Sequence[float]]) -> bool:
     """Return whether a position tilts both axes, or one of them, so far that inclinations and Euler angles differ."""
     far, alone = sin(CONVENTION_SHOWS), sin(STEEP)
-    tilts = [sorted(map(abs, one.gravity[:2])) for one in measurements]
+    tilts = [sorted(map(abs, up[:2])) for up in attitudes]
     return any(low >= far or high >= alone for low, high in tilts)
 
 
@@ -90,7 +90,7 @@ def with_convention(sensor: MeasuredSensor, procedure: PositionProcedure, bench:
 
     readings = sensor.sensor.angle_readings
     undecided = readings is not None and readings.euler is None and {"x", "y"} <= set(sensor.sensor.channels)
-    if not (undecided and procedure.axes and shows_convention(sensor.measurements)):
+    if not (undecided and procedure.axes and shows_convention([one.gravity for one in sensor.measurements])):
         return sensor
     squares = {}
     for name in (INCLINATION, EULER):

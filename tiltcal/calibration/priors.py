@@ -64,7 +64,7 @@ def design_of(
         raise EstimateError(f"{procedure.name} determines no sensitivity, and none is known", advice=SENSITIVITY_FROM)
     own, cross = Prior(nominal.sensitivity, nominal.sensitivity * nominal.sensitivity_spread), Prior(0.0)
     if angles is not None:  # of slopes in degrees
-        size = 1.0 if angles.slope else nominal.sensitivity / DEGREES
+        size = angles.per_degree(nominal.sensitivity)
         own = Prior(size, abs(size) * nominal.sensitivity_spread)
     priors = {f"sensitivity.{c}.{axis}": own if axis == c else cross for c in channels for axis in design.axes}
     return replace(design, priors=priors)

@@ -114,8 +114,10 @@ def tilt_uncertainty(calibration: CalibrationRecord) -> dict[str, TiltUncertaint
         return {}
     channels, model, nominal = coefficients.channels, model_of(calibration), None
     if model is not None and model.scaled:
-        sheet = np.full(len(channels), model.offset), model.sensitivity * np.eye(len(channels))
-        nominal = Compensation(Coefficients(channels, channels, *sheet), Limits())
+        angles, size = coefficients.angles, model.sensitivity
+        size = size if angles is None else angles.per_degree(size)
+        sheet = np.full(len(channels), model.offset), size * np.eye(len(channels))
+        nominal = Compensation(Coefficients(channels, channels, *sheet, angles=angles), Limits())
     by_axis = {}
     for axis, (tilt, half) in alone.items():
         readings = coefficients.predict(_tilted(axis, tilt))

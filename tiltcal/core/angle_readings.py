@@ -10,9 +10,9 @@ model that is linear in the angle. A device of Euler angles prints the roll atan
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from math import asin, atan, degrees, pi, radians, sin, tan
+from math import asin, atan, cos, degrees, pi, radians, sin, tan
 from typing import Any
 
 import numpy as np
@@ -48,12 +48,20 @@ class AngleReadings:
         """Return the derivative of :meth:`angle`."""
         return DEGREES / self.slope / (1.0 + (reading / self.slope) ** 2) if self.slope else np.ones_like(reading)
 
-    def component(self, signal: float) -> float:
-        """Return the component of gravity, g, of a reading over its sensitivity near level."""
-        return sin(atan(signal) if self.slope else min(max(signal, -pi / 2), pi / 2))
+    def per_degree(self, sensitivity: float) -> float:
+        """Return what 1° is in readings of a sensitivity, unit/g near level; slopes are degrees themselves."""
+        return 1.0 if self.slope else sensitivity / DEGREES
+
+    def components(self, channels: Sequence[str], signals: Sequence[float]) -> list[float]:
+        """Return the components of gravity, g, of readings over their sensitivities near level."""
+        angles = [atan(one) if self.slope else min(max(one, -pi / 2), pi / 2) for one in signals]
+        sines = dict(zip(channels, map(sin, angles), strict=True))
+        if self.euler and {"x", "y"} <= set(channels):
+            sines["y"] *= cos(angles[channels.index("x")])
+        return list(sines.values())
 
     def near_level(self, component: float) -> float:
-        """Return the inverse of :meth:`component`."""
+        """Return the reading of a component over its sensitivity near level."""
         angle = asin(min(max(component, -1.0), 1.0))
         return tan(angle) if self.slope else angle
 

@@ -128,7 +128,7 @@ class ExpectedReadings:
 
     def _in_g(self, reading: Array) -> list[float]:
         signals = [(float(value) - self._offset) / self._sensitivity for value in reading]
-        return signals if self._angles is None else [self._angles.component(signal) for signal in signals]
+        return signals if self._angles is None else self._angles.components(self._channels, signals)
 
     def _pose(self, temperature: float | None) -> float:
         if temperature is None or self._first_temperature is None:
