@@ -165,8 +165,8 @@ def _design(sessions: Sequence[CombinedSession]) -> Design:
     by_values = [session for session in sessions if not session.observed]
     statements = tuple(session.statement(design, slope) for session in by_values)
     exact = dict(design.priors)
-    for session, statement in zip(by_values, statements, strict=True):
-        for name in sorted((session.measured & set(design.names)) - set(statement.names)):
+    for session, (_, stated_here) in zip(by_values, statements, strict=True):
+        for name in sorted((session.measured & set(design.names)) - set(stated_here.names)):
             if name.startswith("offset.") and design.thermal and temperature_of(session.record) is None:
                 continue  # it is left out
             if any(name in other.measured for other in sessions if other is not session):
@@ -185,10 +185,10 @@ def _of_values(sessions: Sequence[CombinedSession], design: Design) -> Estimate:
     held = {name: prior.value for name, prior in design.priors.items()}
     known = np.array([held.get(name, 0.0) for name in design.names])
     wanted = np.array([name not in held for name in design.names])
-    rows = np.vstack([one.rows for one in design.stated])
+    rows = np.vstack([each for each, _ in design.stated])
     # Over their uncertainty, independent.
-    whiten = np.linalg.inv(np.linalg.cholesky(block_diag(*(one.covariance for one in design.stated))))
-    target, jacobian = whiten @ (np.concatenate([one.values for one in design.stated]) - rows @ known), whiten @ rows
+    whiten = np.linalg.inv(np.linalg.cholesky(block_diag(*(one.covariance for _, one in design.stated))))
+    target, jacobian = whiten @ (np.concatenate([one.value for _, one in design.stated]) - rows @ known), whiten @ rows
     names = [name for name, free in zip(design.names, wanted, strict=True) if free]
     if mixed := undetermined(jacobian[:, wanted], names):
         raise EstimateError(f"the calibrations together leave {', '.join(mixed[:4])} undetermined")

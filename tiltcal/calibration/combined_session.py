@@ -11,10 +11,10 @@ import numpy as np
 
 from tiltcal.calibration.comparison import temperature_of
 from tiltcal.calibration.stated import stated_uncertainty
-from tiltcal.core.estimation.positions import Design, Observation, StatedCoefficients
+from tiltcal.core.estimation.positions import Design, Observation
 from tiltcal.core.model import AXES, Array, Coefficients, values, vector_of
 from tiltcal.core.samples import BLOCKS
-from tiltcal.core.uncertain import ALIGNMENT, READING, TURN, selection
+from tiltcal.core.uncertain import ALIGNMENT, READING, TURN, Uncertain, selection
 from tiltcal.errors import EstimateError, UsageError
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.results import PositionRecord
@@ -106,8 +106,8 @@ class CombinedSession:
             for one, place, (before, setting) in zip(self.positions, places, pairwise(settings), strict=True)
         ]
 
-    def statement(self, design: Design, slope: Array) -> StatedCoefficients:
-        """Return what the file states of the coefficients of a design that it has measured.
+    def statement(self, design: Design, slope: Array) -> tuple[Array, Uncertain]:
+        """Return what the file states of the coefficients of a design that it has measured, as the design takes it.
 
         ``slope`` is the drift that the temperature of a file without one is worth, unit/°C, shape (channels,).
         """
@@ -155,4 +155,4 @@ class CombinedSession:
             for axis in set(design.axes) - set(axes) if kind == "offset" and same else ():
                 # A column that it lacks is in its offset.
                 rows[k, place(f"sensitivity.{channel}.{axis}")] = directions[0][AXES.index(axis)]
-        return StatedCoefficients(own.names, rows, vector_of(self.coefficients, own.names), covariance)
+        return rows, Uncertain(own.names, vector_of(self.coefficients, own.names), covariance, covariance)

@@ -278,15 +278,15 @@ class Equations:
         factors, columns = [1.0 / self.prior_u[assumed, None]], [assumed[:, None]]
         targets = [self.prior_value[assumed] / self.prior_u[assumed]]
         for design, own in zip(designs, self.sensor_coefficients(), strict=True):
-            for stated in design.stated:
-                u = np.sqrt(np.diag(stated.covariance))
+            for rows, stated in design.stated:
+                u = stated.u
                 places = own.start + np.array([design.names.index(name) for name in stated.names], dtype=np.intp)
-                self.prior_value[places], self.prior_u[places] = stated.values, u
+                self.prior_value[places], self.prior_u[places] = stated.value, u
                 values, vectors = np.linalg.eigh(stated.covariance / np.outer(u, u))
                 white = (vectors / np.sqrt(np.maximum(values, _ROUNDED))).T / u
-                factors.append(white @ stated.rows)
+                factors.append(white @ rows)
                 columns.append(np.tile(np.arange(own.start, own.stop), (len(u), 1)))
-                targets.append(white @ stated.values)
+                targets.append(white @ stated.value)
         self.stated_values, self.stated_columns = _padded(factors), _padded(columns)
         self.stated_target = np.concatenate(targets)
 

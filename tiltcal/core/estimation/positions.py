@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from tiltcal.core.angle_readings import AngleReadings
 from tiltcal.core.attitude import STRAIGHT
 from tiltcal.core.model import Array, ChannelModel, Coefficients, Thermal
+from tiltcal.core.uncertain import Uncertain
 from tiltcal.errors import EstimateError
 
 Indices = NDArray[np.intp]
@@ -73,16 +74,6 @@ class Prior:
 
 
 @dataclass(frozen=True)
-class StatedCoefficients:
-    """What a calibration file states: ``rows @ coefficients`` is ``values``, with a covariance."""
-
-    names: tuple[str, ...]  # the coefficient that each value is of, first of all
-    rows: Array  # by the names of the design, shape (k, coefficients)
-    values: Array  # shape (k,)
-    covariance: Array  # shape (k, k)
-
-
-@dataclass(frozen=True)
 class Design:
     """Which coefficients are to be determined, and how well the bench sets what it sets (standard uncertainties).
 
@@ -104,7 +95,9 @@ class Design:
     priors: Mapping[str, Prior] = field(default_factory=dict)  # by the coefficient's dotted name
     nominal: float = 0.0  # sensitivity of the model, unit/g; 0 where it is not known
     angles: AngleReadings | None = None  # of a device that prints angles; nonlinearity is none then
-    stated: tuple[StatedCoefficients, ...] = ()  # what calibrations of the sensor state jointly, beside the priors
+    # What calibrations of the sensor state jointly, beside the priors: of some coefficients, first of all, values that
+    # are rows @ coefficients, (k, coefficients), with their covariance.
+    stated: tuple[tuple[Array, Uncertain], ...] = ()
 
     @property
     def assumes_sensitivity(self) -> bool:
