@@ -12,7 +12,7 @@ from dataclasses import replace
 from typing import Any
 
 from tiltcal.calibration.angle_units import finished, in_degrees, remarks, with_convention
-from tiltcal.calibration.fit import calibrate_free, fit_jointly
+from tiltcal.calibration.fit import fit_jointly
 from tiltcal.calibration.measurement import (
     BenchUncertainty,
     MeasuredSensor,
@@ -75,6 +75,8 @@ def calibrate(
 
             found = [calibrate_ramp(sensor, procedure, bench) for sensor in sensors]
         case FreePositions():
+            from tiltcal.calibration.free import calibrate_free
+
             found = [calibrate_free(sensor, procedure, known) for sensor in sensors]
         case Positions(cross_validated=True):
             from tiltcal.calibration.temperature import calibrate_sweep
