@@ -13,12 +13,7 @@ from typing import Any
 
 from tiltcal.calibration.angle_units import finished, in_degrees, remarks, with_convention
 from tiltcal.calibration.fit import fit_jointly
-from tiltcal.calibration.measurement import (
-    BenchUncertainty,
-    MeasuredSensor,
-    Measurement,
-    require_own_readings,
-)
+from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement, require_own_readings
 from tiltcal.calibration.priors import design_of
 from tiltcal.core.rounding import round_to
 from tiltcal.drivers.model import ACCELERATION

@@ -11,14 +11,7 @@ import numpy as np
 
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement, judge_channels, rails_of
 from tiltcal.calibration.priors import design_of
-from tiltcal.calibration.stated import (
-    DIGITS,
-    TEMPERATURE_DIGITS,
-    derived_record,
-    fit_record,
-    rounded,
-    stated_section,
-)
+from tiltcal.calibration.stated import DIGITS, TEMPERATURE_DIGITS, derived_record, fit_record, rounded, stated_section
 from tiltcal.calibration.wording import LARGEST_AGREEMENT
 from tiltcal.core.directions import covered, tilts
 from tiltcal.core.estimation.estimate import Estimate, estimate_jointly, with_hysteresis
@@ -65,8 +58,7 @@ def record_of(
         sensor=sensor.sensor.replaced(channels=design.channels),
         coefficients=coefficients,
         uncertainty=replace(
-            stated_section(found.uncertain),
-            single_reading=_reading(measurements, design, found.estimated_thermometer),
+            stated_section(found.uncertain), single_reading=_reading(measurements, design, found.estimated_thermometer)
         ),
         limits=limits,
         derived=derived_record(found, assumed, mounted=not design.free),

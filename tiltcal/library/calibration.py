@@ -23,14 +23,7 @@ from tiltcal.files.calibration_output import write_calibration
 from tiltcal.files.coefficients import Uncertainty
 from tiltcal.files.document import read_document
 from tiltcal.files.pair import PairRecord
-from tiltcal.files.results import (
-    DerivedRecord,
-    FitRecord,
-    PairProvenance,
-    PositionRecord,
-    ProcedureRecord,
-    Provenance,
-)
+from tiltcal.files.results import DerivedRecord, FitRecord, PairProvenance, PositionRecord, ProcedureRecord, Provenance
 from tiltcal.logs.options import ApplyOptions
 from tiltcal.options import complete, takes
 from tiltcal.printable import in_html

@@ -195,12 +195,7 @@ def _minimum(mean: Array, sway: Array, start: Misfits, *, absolute: bool = False
 
 
 def _misfits(
-    mean: Array,
-    sway: Array,
-    offset: Array,
-    sensitivity: Array,
-    drift: Array = NO_DRIFT,
-    warmth: Array | None = None,
+    mean: Array, sway: Array, offset: Array, sensitivity: Array, drift: Array = NO_DRIFT, warmth: Array | None = None
 ) -> Misfits:
     if not np.all(np.diag(sensitivity) > 0.0):
         raise EstimateError(f"the readings lie on no ellipsoid: {_advice(UNKNOWNS if warmth is None else len(_NAMES))}")
