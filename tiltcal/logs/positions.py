@@ -83,11 +83,10 @@ def intervals_of(
     step = resolution(record.of(channels))
     groups = [list(parts) for _, parts in groupby(segments, key=lambda segment: (segment.name, segment.gravity))]
     names = _distinct([parts[0].name for parts in groups])
-    ends = [0, *(parts[-1].end for parts in groups)]
     intervals = []
     for parts, name in zip(groups, names, strict=True):
         interval = _LogInterval(record, channels, parts, file)
-        previous = max((end for end in ends if end <= parts[0].start), default=0)
+        previous = max((before[-1].end for before in groups if before[-1].end <= parts[0].start), default=0)
         intervals.append(interval.read(name, step, rails, soak, previous))
     _require_not_stuck(intervals, step, file)
     return intervals
