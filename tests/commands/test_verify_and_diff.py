@@ -123,11 +123,11 @@ MOUNTED = CALIBRATION.replace("uncertainty:\n", "  mounting: {{roll: {roll}, pit
 
 
 def test_another_mounting_is_a_change(tmp_path: Path) -> None:
-    """1° with 0.1° on either side is 7.07 standard uncertainties."""
+    """1° with 0.1° on either side is 7.07 standard uncertainties; an angle without one is exact."""
     for before, after, u, word, said in (
-        (0.0, 1.0, "{roll: 0.1, pitch: 0.1, yaw: 0.1}", "changed", "mounting.turn.x by more than"),
-        (0.0, 0.1, "{roll: 0.1, pitch: 0.1, yaw: 0.1}", "unchanged", "unchanged"),
-        (179.9, -179.9, "{roll: 0.1, pitch: 0.1, yaw: 0.1}", "unchanged", "unchanged"),
+        (0.0, 1.0, "{roll: 0.1, yaw: 0.1}", "changed", "mounting.turn.x by more than"),
+        (0.0, 0.1, "{roll: 0.1, yaw: 0.1}", "unchanged", "unchanged"),
+        (179.9, -179.9, "{roll: 0.1, yaw: 0.1}", "unchanged", "unchanged"),
         (0.0, 180.0, "", "unknown", "no uncertainty is stated of mounting.turn.x, which differs"),
     ):
         for name, roll in (("a.yaml", before), ("b.yaml", after)):
@@ -135,7 +135,8 @@ def test_another_mounting_is_a_change(tmp_path: Path) -> None:
             (tmp_path / name).write_text(text + (f"  mounting: {u}\n" if u else ""))
         compared = json.loads(tiltcal("diff", "a.yaml", "b.yaml", "--json", cwd=tmp_path).stdout)
         assert compared["verdict"] == word
-        turn = next(row for row in compared["coefficients"] if row["name"] == "mounting.turn.x")
+        turn, exact = (next(one for one in compared["coefficients"] if one["name"] == f"mounting.turn.{a}") for a in "xy")
+        assert not exact["u"]
         assert abs(turn["change"]) == pytest.approx((after - before) % 360.0)
         assert turn["ratio"] == (pytest.approx(abs(turn["change"]) / 0.1414, rel=1e-3) if u else None)
         assert said in tiltcal("diff", "a.yaml", "b.yaml", cwd=tmp_path).stdout
