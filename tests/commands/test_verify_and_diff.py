@@ -135,7 +135,9 @@ def test_another_mounting_is_a_change(tmp_path: Path) -> None:
             (tmp_path / name).write_text(text + (f"  mounting: {u}\n" if u else ""))
         compared = json.loads(tiltcal("diff", "a.yaml", "b.yaml", "--json", cwd=tmp_path).stdout)
         assert compared["verdict"] == word
-        turn, exact = (next(one for one in compared["coefficients"] if one["name"] == f"mounting.turn.{a}") for a in "xy")
+        turn, exact = (
+            next(one for one in compared["coefficients"] if one["name"] == f"mounting.turn.{a}") for a in "xy"
+        )
         assert not exact["u"]
         assert abs(turn["change"]) == pytest.approx((after - before) % 360.0)
         assert turn["ratio"] == (pytest.approx(abs(turn["change"]) / 0.1414, rel=1e-3) if u else None)

@@ -137,6 +137,18 @@ def test_a_machine_that_has_moved_while_it_was_sampled_is_refused(name: str) -> 
         operator.ask(Review("x-45", {}))
 
 
+def test_a_table_that_creeps_is_awaited() -> None:
+    """It tells no state and goes 0.04° from look to look: within its tolerance of 0.05° it still moves."""
+    clock = VirtualClock()
+    table = VirtualTable(np.random.default_rng(1), by_clock(clock))
+    table.speed = 0.2
+    movers = movers_of({"table": (TABLE.replaced(done=None), table)}, clock)
+    operator = Machines(VirtualJig(), movers, find_procedure("plane"), clock, thermometer=True)
+    up = gravity_of({"x": 2.0, "y": 0.0}, "x")
+    asked = {"position": "x", "prompt": "", "gravity": up, "tilt": {"x": 2.0}, "heading": 0, "temperature": None}
+    assert operator.ask(PositionQuestion(**asked, stage=None)) == {"answer": "ready", "tilt": {"x": 2.0, "y": 0.0}}
+
+
 SENSOR = '  - {serial: S-1, model: sca100t-d02, address: "sim:?seed=1"}\n'
 QUICK = ("--bench", "bench.yaml", "--operator", "json", "--samples", "5", "--settle", "0.5")
 
@@ -156,11 +168,14 @@ class Status:
     done, success = True, {success}
 
 class Axis:
+    sent = []
+
     def __init__(self, name):
         self.name, self.at = name, 0.0
 
     def set(self, value):
         self.at = value + 0.02
+        self.sent.append(value)
         return Status()
 
     def read(self):
@@ -220,6 +235,7 @@ def test_an_object_with_set_and_read_moves_the_table(tmp_path: Path, monkeypatch
     with pytest.raises(AssertionError, match="x-tilt1 failed 3 times in a row: table: x has not got there") as stopped:
         measured(tmp_path, "plane", OBJECTS, "--python", "tilt_rig")
     assert "continue with: tiltcal measure --resume bench.journal.jsonl" in str(stopped.value)
+    assert sys.modules["tilt_rig"].Axis.sent == [30.0, 0.0] * 3
     (tmp_path / "tilt_rig.py").write_text(RIG.format(success=True))
     monkeypatch.delitem(sys.modules, "tilt_rig")
     invalidate_caches()

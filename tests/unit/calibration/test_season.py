@@ -74,14 +74,16 @@ def test_two_calibrations_of_their_own_have_independent_errors() -> None:
     assert season.at(50.0 * DAY, stated).uncertainty["sensitivity.x.x"] == pytest.approx(0.25, rel=FOUR_DIGITS)
 
 
-def test_a_quarter_of_the_way_the_lag_has_changed_by_a_quarter() -> None:
-    def late(lag: float) -> CalibrationRecord:
+def test_a_quarter_of_the_way_the_lag_has_changed_by_a_quarter_and_the_limits_are_of_both() -> None:
+    def late(lag: float, tilt: tuple[float, float]) -> CalibrationRecord:
         thermal = Thermal(24.0, (5.0, 40.0), np.array([[0.1], [0.2]]), np.zeros((2, 1)), lag)
-        return replace(BASE, coefficients=replace(BASE.coefficients, thermal=thermal), uncertainty=Uncertainty({}))
+        coefficients, limits = replace(BASE.coefficients, thermal=thermal), replace(BASE.limits, tilt={"x": tilt})
+        return replace(BASE, coefficients=coefficients, limits=limits, uncertainty=Uncertainty({}))
 
-    found = history(late(100.0), late(200.0)).at(25.0 * DAY).coefficients.thermal
-    assert found is not None
-    assert found.lag == pytest.approx(125.0)
+    found = history(late(100.0, (-30.0, 20.0)), late(200.0, (-10.0, 40.0))).at(25.0 * DAY)
+    assert found.coefficients.thermal is not None
+    assert found.coefficients.thermal.lag == pytest.approx(125.0)
+    assert found.limits.tilt == {"x": (-10.0, 20.0)}
 
 
 def test_of_two_sessions_only_what_the_data_sheet_states_is_shared() -> None:
