@@ -93,7 +93,6 @@ def wait_until_still(
     SensorError: one of them failed.
     """
     models = sensors.models
-    pause = max(window.seconds / (SOAK_LOOKS if window.soaking else LOOKS), sensors.interval)
     rows: list[list[float]] = []
     began: float | None = None
     judged = 0.0
@@ -115,7 +114,9 @@ def wait_until_still(
         if now - began > window.patience:
             raise Unsettled(f"not still after {window.patience:.0f} s: {why}")
         look(sample, why, max(0.0, window.shortest - (now - began)))
-        clock.sleep(pause)
+        # A late thermometer has to hold for many windows: a slow drift is looked for in the last ones.
+        drift_counts = window.soaking and now - began >= window.shortest - SOAKS * window.seconds
+        clock.sleep(max(window.seconds / (SOAK_LOOKS if drift_counts else LOOKS), sensors.interval))
 
 
 def row_of(timed: Timed, serials: Iterable[str]) -> list[float]:
