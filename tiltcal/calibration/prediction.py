@@ -14,7 +14,7 @@ from tiltcal.calibration.angle_units import FEWER, identified, too_steep
 from tiltcal.calibration.fit import covered_tilts
 from tiltcal.calibration.measurement import BenchUncertainty
 from tiltcal.calibration.priors import design_of
-from tiltcal.calibration.record import half_widths, tilt_lines
+from tiltcal.calibration.tilt_uncertainty import half_widths, tilt_lines
 from tiltcal.calibration.wording import label
 from tiltcal.core.attitude import STRAIGHT, Orientation, solve_mounting
 from tiltcal.core.estimation.design import predict_uncertainty

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tiltcal.calibration.record import tilt_lines, tilt_uncertainty
+from tiltcal.calibration.tilt_uncertainty import stated_half_widths, tilt_lines
 from tiltcal.core.model import values
 from tiltcal.core.pair.matching import STAGES, SUM, Matching
 from tiltcal.core.rounding import bracketed, plus_minus
@@ -61,8 +61,8 @@ def result_in_words(calibration: CalibrationRecord, procedure: Procedure) -> str
 
 def summary(calibration: CalibrationRecord, *, notes: bool = True) -> str:
     """Return all coefficients and tilts with their uncertainties, how well the positions fit, and the notes."""
-    tilts = {axis: (one.tilt, one.alone) for axis, one in tilt_uncertainty(calibration).items()}
-    lines = [*_coefficient_lines(calibration), *tilt_lines(tilts), *mounting_lines(calibration)]
+    tilts = tilt_lines(stated_half_widths(calibration))
+    lines = [*_coefficient_lines(calibration), *tilts, *mounting_lines(calibration)]
     return "\n".join(lines + [f"  {note}" for note in calibration.fit.notes if notes])
 
 

@@ -94,15 +94,13 @@ def plain(value: Any, whole: bool = False) -> Any:
     What is False is empty: so a key that is added later changes no file that does not use it.
     """
     if isinstance(value, Record):
-        usual = _defaults(type(value))
-        names = zip(value.__struct_fields__, value.__struct_encode_fields__, strict=True)
-        return {
-            written: plain(content, whole)
-            for name, written in names
-            if (content := getattr(value, name)) != usual[name]
-            or name in value.always_written
-            or (whole and content not in (None, "") and content is not False)
-        }
+        usual, data = _defaults(type(value)), {}
+        for name, written in zip(value.__struct_fields__, value.__struct_encode_fields__, strict=True):
+            content = getattr(value, name)
+            is_empty = content in (None, "") or content is False
+            if content != usual[name] or name in value.always_written or (whole and not is_empty):
+                data[written] = plain(content, whole)
+        return data
     if isinstance(value, Mapping):
         return {name: plain(member, whole) for name, member in value.items()}
     return [plain(item, whole) for item in value] if isinstance(value, tuple) else value

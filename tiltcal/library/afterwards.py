@@ -12,7 +12,7 @@ from tiltcal.bench.messages import Live, Refused, Report, Results
 from tiltcal.bench.operators import LOOK, Operator
 from tiltcal.bench.session import Session
 from tiltcal.bench.setup import free_journal, new_setup
-from tiltcal.calibration.record import tilt_lines, tilt_uncertainty
+from tiltcal.calibration.tilt_uncertainty import stated_half_widths, tilt_lines
 from tiltcal.calibration.verification import LIMIT, Verification, verify
 from tiltcal.errors import HardwareError, TiltcalError
 from tiltcal.files.bench import BenchFile, BenchSensor, BenchThermometer
@@ -54,8 +54,8 @@ class Afterwards:
             for serial, one in calibrations.items()
         }
         for serial, record in self._of_tilt.items():
-            by_axis = {axis: (one.tilt, one.alone) for axis, one in tilt_uncertainty(record).items()}
-            self._results[serial]["uncertainty"] = [" ".join(line.split()) for line in tilt_lines(by_axis)]
+            tilts = tilt_lines(stated_half_widths(record))
+            self._results[serial]["uncertainty"] = [" ".join(line.split()) for line in tilts]
 
     def show(self) -> None:
         """Show the results and what follows until somebody finishes."""

@@ -254,7 +254,7 @@ class Calibration(SavedCalibration, Applicable):
         UsageError
             The extra ``report`` is not installed, or the file states no uncertainty.
         """
-        from tiltcal.calibration.record import tilt_uncertainty
+        from tiltcal.calibration.tilt_uncertainty import tilt_uncertainty
         from tiltcal.report.calibration_figures import tilt_figure
         from tiltcal.report.figure import require_extra
 

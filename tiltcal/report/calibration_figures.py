@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tiltcal.calibration.record import USUAL, TiltUncertainty
+from tiltcal.calibration.tilt_uncertainty import USUAL, TiltUncertainty
 from tiltcal.core.model import Array, Thermal, polynomial
 from tiltcal.core.uncertain import NORMAL_FACTOR
 from tiltcal.files.calibration import CalibrationRecord

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tiltcal.calibration.record import tilt_uncertainty
 from tiltcal.calibration.season import FleetHistory
+from tiltcal.calibration.tilt_uncertainty import tilt_uncertainty
 from tiltcal.calibration.wording import suppressed
 from tiltcal.files.atomic import check_writable, write_whole
 from tiltcal.files.calibration import CalibrationRecord

@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tiltcal.calibration.record import TiltUncertainty
 from tiltcal.calibration.season import FleetHistory
+from tiltcal.calibration.tilt_uncertainty import TiltUncertainty
 from tiltcal.calibration.wording import fit_lines, mounting_fit_lines, objections
 from tiltcal.core.rounding import plus_minus
 from tiltcal.files import record
