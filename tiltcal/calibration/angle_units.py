@@ -35,7 +35,7 @@ def identified(sensor: SensorIdentity, angles: str | None = None) -> SensorIdent
     return sensor.replaced(reads=ANGLE, angles=angles or sensor.angles)
 
 
-def in_degrees(sensor: MeasuredSensor, procedure: PositionProcedure, angles: str | None = None) -> MeasuredSensor:
+def read_in_degrees(sensor: MeasuredSensor, procedure: PositionProcedure, angles: str | None = None) -> MeasuredSensor:
     """Return a sensor whose readings are angles with these, and without the positions that are too steep to be fitted.
 
     EstimateError: a procedure of free positions, which needs components of gravity.

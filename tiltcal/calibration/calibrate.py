@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from tiltcal.calibration.angle_units import finished, in_degrees, remarks, with_convention
+from tiltcal.calibration.angle_units import finished, read_in_degrees, remarks, with_convention
 from tiltcal.calibration.fit import fit_jointly
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement, require_own_readings
 from tiltcal.calibration.priors import design_of
@@ -44,8 +44,8 @@ def calibrate(
     own: Mapping[str, Any] = settings or {}
     for sensor in sensors:
         require_own_readings(sensor)
-    measured, sensors = sensors, [in_degrees(sensor, procedure, angles) for sensor in sensors]
-    step = max((sensor.thermometer or 0.0 for sensor in sensors), default=0.0)
+    measured, sensors = sensors, [read_in_degrees(sensor, procedure, angles) for sensor in sensors]
+    step = max((sensor.thermometer_rounding or 0.0 for sensor in sensors), default=0.0)
     known = bench if bench.thermometer is not None else replace(bench, thermometer=step or None)
     part = ""
     sensors = [with_convention(sensor, procedure, known) for sensor in sensors]

@@ -138,7 +138,7 @@ def observations_of(measurements: Sequence[Measurement], channels: Sequence[str]
     """Return the positions for the estimator, each one's noise made better known by that of the others."""
     correlated = correlated_noise(_summaries(measurements, channels))
     noise = [noise_of_means(_summaries(measurements, (channel,)), correlated) for channel in channels]
-    taken = sorted(measurements, key=lambda one: str(one.when.get("time", "")))  # a position may be taken again later
+    taken = sorted(measurements, key=lambda one: str(one.noted.get("time", "")))  # a position may be taken again later
     held = {two.position for one, two in pairwise(taken) if (one.gravity, one.heading) == (two.gravity, two.heading)}
     observations = []
     for number, measurement in enumerate(measurements):
@@ -186,7 +186,7 @@ def _limits(design: Design, sensor: MeasuredSensor, coefficients: Coefficients) 
     met = [measurement.temperature for measurement in sensor.measurements if measurement.temperature is not None]
     warmth = None
     if coefficients.thermal is not None:
-        step = sensor.temperature_step or sqrt(12.0) * (sensor.thermometer or 0.0)
+        step = sensor.temperature_step or sqrt(12.0) * (sensor.thermometer_rounding or 0.0)
         warmth = outwards(min(met), max(met), TEMPERATURE_DIGITS, step)
     limits = Limits({}, warmth, dict(rails_of(design.channels, sensor.nominal, sensor.base)))
     if sensor.base is not None:

@@ -52,7 +52,7 @@ class Measurement:
     tilt: Mapping[str, float] | None  # as set, degrees; None where the position is given by its direction
     temperature: float | None  # °C
     summaries: Mapping[str, SampleSummary]  # per channel
-    when: Mapping[str, Any] = field(default_factory=dict)  # how it is found again: its time, or its rows of a log
+    noted: Mapping[str, Any] = field(default_factory=dict)  # for its record: its time, or its rows of a log, ...
     heading: float | None = None  # how far the fixture was turned about the vertical, degrees
     stage: float | None = None  # angle of the rotary stage, degrees; used by no estimate
 
@@ -75,7 +75,7 @@ class Measurement:
             u={c: significant(summary.u, 4) for c, summary in summaries},
             n=summaries[0][1].n,
             temperature=None if self.temperature is None else round(self.temperature, 3),
-            **self.when,
+            **self.noted,
         )
 
 
@@ -87,7 +87,7 @@ class MeasuredSensor:
     measurements: Sequence[Measurement]
     nominal: Model | None = None  # its facts stand in for what a procedure does not determine; None: not known
     orientation: Sequence[Sequence[float]] = STRAIGHT.matrix  # takes a vector of the fixture's frame to the sensor's
-    thermometer: float | None = None  # u of the step of its own thermometer, °C; None where another was read
+    thermometer_rounding: float | None = None  # u by the step of its own thermometer, °C; None where another was read
     base: CalibrationRecord | None = None  # its calibration, which is completed, or lends its sensitivity
     ramp: RampRecord | None = None  # the record of a ramp, whose one measurement is the attitude
     attitude_stated: bool = True  # of a ramp: else its base says in which attitude it was, and keeps its offset
@@ -114,7 +114,7 @@ def rails_of(
     return {} if base is None else {c: at for c, at in base.limits.reading.items() if c in channels}
 
 
-def at_rail(channel: str, reading: str, rails: tuple[float, float]) -> str:
+def rail_in_words(channel: str, reading: str, rails: tuple[float, float]) -> str:
     """Return what a reading at a rail means, and what to look at."""
     return (
         f"{channel} reads {reading}, at its rail or beyond ({rails[0]:g} to {rails[1]:g}): is this the sensor, are "
@@ -182,7 +182,7 @@ def require_own_readings(sensor: MeasuredSensor) -> None:
             mean = measurement.summaries[channel].mean
             if not low < mean < high:
                 reads = f"{mean:.6g} {sensor.sensor.unit} in {measurement.position}"
-                raise EstimateError(at_rail(channel, reads, (low, high)))
+                raise EstimateError(rail_in_words(channel, reads, (low, high)))
     for first, second in combinations(sensor.sensor.channels, 2):
         pairs = [(measurement.summaries[first], measurement.summaries[second]) for measurement in sensor.measurements]
         if any(a.std for a, _ in pairs) and all(a.mean == b.mean and a.std == b.std for a, b in pairs):

@@ -229,7 +229,7 @@ def calibrate_ramp(sensor: MeasuredSensor, procedure: Ramp, bench: BenchUncertai
     # thermometer's noise, which the means average.
     element = fit.means.temperature(fit.lag) + reference
     element = ThermalLag(fit.lag)(record.time, record.temperature) if fit.lag >= 0.0 else element
-    limits = _range(element, record.step or sqrt(12.0) * (sensor.thermometer or 0.0))
+    limits = _range(element, record.step or sqrt(12.0) * (sensor.thermometer_rounding or 0.0))
     design = replace(design, drift=fit.order, reference=reference)
     known, notes = None, [record.jumps] if record.jumps else []
     if sensor.base is not None:
@@ -255,7 +255,7 @@ def calibrate_ramp(sensor: MeasuredSensor, procedure: Ramp, bench: BenchUncertai
     if fit.uses_lag:
         standard = {**standard, "temperature.lag": significant(fit.u_lag, 4)}
     reading = made.uncertainty.single_reading
-    if u_temperature := _reading_uncertainty(fit, record, bench.thermometer, sensor.thermometer):
+    if u_temperature := _reading_uncertainty(fit, record, bench.thermometer, sensor.thermometer_rounding):
         reading = {**reading, "temperature": significant(u_temperature, 4)}
     assumed = made.derived.assumed if known is None else (*made.derived.assumed, f"offset: {OF_BASE}")
     return replace(
@@ -453,7 +453,7 @@ def _groups(fit: RampFit, record: RampRecord, attitude: Measurement) -> list[Mea
             for channel, values, noise in zip(attitude.summaries, means.readings[part].T, record.noise, strict=True)
         }
         temperature = float(temperatures[part].mean())
-        groups.append(replace(attitude, position=name, temperature=temperature, summaries=summaries, when={}))
+        groups.append(replace(attitude, position=name, temperature=temperature, summaries=summaries, noted={}))
     return groups
 
 

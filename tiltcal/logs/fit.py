@@ -132,7 +132,7 @@ def fit_recorded(
         identity,
         positions.measurements,
         nominal,
-        thermometer=None if model is None else model.thermometer_rounding,
+        thermometer_rounding=None if model is None else model.thermometer_rounding,
         base=own,
         ramp=positions.ramp,
         attitude_stated=options["segments"] is not None,
@@ -305,7 +305,7 @@ def _of_log(
     soak = (procedure.soak.thermometer or SOAKS * procedure.soak.seconds) if procedure.thermal else 0.0
     intervals = intervals_of(record, sensor.channels, segments, rails, file=file, soak=soak)
     for one in (interval.measurement for interval in intervals):
-        if far := one.when.get("left_out"):
+        if far := one.noted.get("left_out"):
             which = "1 sample is" if far == 1 else f"{far} samples are"
             say(f"{one.position}: {which} far off the others or missing, and left out")
     times = [interval.times for interval in intervals if interval.times is not None]

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tiltcal.calibration.measurement import Measurement, at_rail
+from tiltcal.calibration.measurement import Measurement, rail_in_words
 from tiltcal.calibration.wording import LOST_HOLDS
 from tiltcal.column_names import TEMPERATURE, TIME
 from tiltcal.core.detection import (
@@ -303,7 +303,9 @@ class _LogInterval:
             values = samples[channel]
             beyond = values[~((low < values) & (values < high))]
             if len(beyond):
-                raise self._refusal(at_rail(channel, f"{beyond[0]:.6g} in {len(beyond)} of its rows", (low, high)))
+                raise self._refusal(
+                    rail_in_words(channel, f"{beyond[0]:.6g} in {len(beyond)} of its rows", (low, high))
+                )
         temperatures, times = self._temperatures(), self._finite(TIME)
         rows = tuple((part.start, part.end) for part in self.parts)
         where: dict[str, Any] = {"rows": rows if len(rows) > 1 else rows[0]}
