@@ -133,7 +133,7 @@ class Uncertain:
         return Uncertain(tuple(names), function(self.value), covariance, wide)
 
     def following(self, names: Sequence[str]) -> Array:
-        """Return by how much the errors of all follow those of some of the quantities, shape (k, m)."""
+        """Return the slopes of all errors by those of some quantities, C[:, some] C[some, some]⁻¹, shape (k, m)."""
         some = self.named(names)
         size = np.where(some.u > 0.0, some.u, 1.0)
         correlations = some.covariance / np.outer(size, size)
@@ -158,7 +158,11 @@ def widened(covariance: Array, factors: Array) -> Array:
 def weighted_sum(
     first: Uncertain, second: Uncertain, weights: tuple[float, float], shared: Collection[str]
 ) -> Uncertain:
-    """Return a weighted sum of the errors of two sets of quantities, in which the ``shared`` ones have one error."""
+    """Return a weighted sum of the errors of two sets of quantities, in which the ``shared`` ones have one error.
+
+    The errors of each set are slopes times those of the shared quantities, and a rest that is independent of all else:
+    the slopes add with the weights, w1 F1 + w2 F2, and of the rests the variances do, w1² R1 + w2² R2.
+    """
     names = tuple(dict.fromkeys((*first.names, *second.names)))
     common = second.named([name for name in names if name in shared])
     by_common, apart = np.zeros((len(names), len(common.names))), []
