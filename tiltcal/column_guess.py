@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from math import hypot, log2
-from statistics import median
+from statistics import median, pstdev
 from typing import NamedTuple
 
 from tiltcal.column_names import AXES, TEMPERATURE, meaning
@@ -73,9 +73,10 @@ def guess_of_columns(found: Dialect, columns: Sequence[Sequence[float]]) -> Gues
         return Guess(_shown(roles), unit, 0.0, "names", "")
     usable = [k for k, column in enumerate(columns) if column and not counts_up(column)]
     triples = [tuple(range(k, k + 3)) for k in usable if {k + 1, k + 2} <= {*usable}]
-    for three in triples:
-        if unit := unit_of_rows([columns[k] for k in three]):
-            return Guess(_placed(roles, three), unit, 0.0, "length", "")
+    units = {three: unit for three in triples if (unit := unit_of_rows([columns[k] for k in three]))}
+    if units:
+        three = min(units, key=lambda three: pstdev(_lengths([columns[k] for k in three])))
+        return Guess(_placed(roles, three), units[three], 0.0, "length", "")
     for three in triples:
         length = median(_lengths([columns[k] for k in three]))
         whole = all(float(value).is_integer() for k in three for value in columns[k])

@@ -12,11 +12,13 @@ import json
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, reduce
 from itertools import chain
+from operator import xor
 from typing import TYPE_CHECKING, Any
 
 from tiltcal.column_names import AXES, role_of
+from tiltcal.units import is_unit
 
 if TYPE_CHECKING:
     import polars as pl
@@ -27,7 +29,7 @@ MISSING = frozenset({"", "nan", "+nan", "-nan", "na", "n/a", "null", "none"})
 COMMENTS = ("#", "//", "%")
 
 _DIGITS = r"(?:\d++\.?\d*+|\.\d++)(?:[eE][-+]?\d++)?"
-_PRINTED = re.compile(rf"(?<![\w.^²])[-+]?{_DIGITS}(?![\w.]|\s*[:=])")
+_PRINTED = re.compile(rf"(?<![\w.^²])[-+]?{_DIGITS}(?=m?g\b|m/s|V\b|deg\b|(?![\w.]|\s*[:=]))")
 _NUMBER = re.compile(rf"[-+]?(?:{_DIGITS}|inf|infinity)", re.IGNORECASE)
 WITH_COMMA = re.compile(r"[-+]?\d*,\d+(?:[eE][-+]?\d+)?")
 _CLOCK = r"\d{1,2}:\d\d(?::\d\d(?:[.,:]\d+)?)?(?: ?[AaPp][Mm])?"
@@ -36,7 +38,9 @@ MOMENT = re.compile(
 )
 _FRONT = re.compile(rf"\s*(?:\[((?:\d{{4}}-\d\d-\d\d[T ])?{_CLOCK})\]|({_CLOCK})(?= (?:->|>)))\s*(?:->|>)?[ \t]*")
 """What monitors of serial lines print before a line: ``12:03:11.123 -> `` or ``[12:03:11.123] ``."""
-LABEL = re.compile(r"(?<![\w.])([A-Za-z_][\w./ ]*?)[ \t]*[:=]")
+LABEL = re.compile(r"(?<![\w.])([A-Za-z_][\w./ ]*?)['\"]?[ \t]*[:=]")
+BEHIND = re.compile(r"[ \t]*[(\[]?([^\s,;|()\[\]]+)")  # a number: its unit
+_SENTENCE = re.compile(r"\$(.*)\*([0-9A-Fa-f]{2})\s*")
 _GAPS, _MARGINS = re.compile(rb"[ \t]+"), re.compile(rb"^[ \t]+|[ \t]+(?=\r?$)", re.MULTILINE)
 _SWAPPED = str.maketrans(".,", ",.")
 _SPARE = bytes(code for code in range(1, 32) if code not in b"\t\n\r")
@@ -127,6 +131,7 @@ class Dialect:
     has_blanks: blanks are between fields in place of the separator.
     pattern: of rows that are no fields; ``others`` are further patterns of lines, which are no rows.
     has_clock: the clock of a monitor stands in front of each line, and is the first column.
+    has_sum: lines are sentences of NMEA 0183, ``$...*5A``; one with another check sum is no row.
     first: the number of lines before the first row; ``head`` are these lines, ``named`` is the place of the names.
     units: of columns by name, from a line of units.
     comments: the marks behind which a line is none, but for a whole row where rows begin with text.
@@ -142,6 +147,7 @@ class Dialect:
     pattern: Pattern | None = None
     others: tuple[Pattern, ...] = ()
     has_clock: bool = False
+    has_sum: bool = False
     first: int = 1
     head: tuple[str, ...] = ()
     named: int | None = 0
@@ -158,7 +164,7 @@ class Dialect:
     @property
     def is_plain(self) -> bool:
         """Whether the lines of the file are fields as they stand."""
-        return not (self.has_blanks or self.has_clock or self.pattern)
+        return not (self.has_blanks or self.has_clock or self.has_sum or self.pattern)
 
     def with_point(self, cell: str) -> str:
         """Return a cell with its decimal mark as a point; a point in place of a decimal comma is no longer one."""
@@ -175,7 +181,7 @@ class Dialect:
         """Return whole lines as fields between separators, at once; None where a line might be none of the rows."""
         if self.is_plain:
             return lines
-        if self.has_clock or (self.has_blanks and self.pattern is not None):
+        if self.has_clock or self.has_sum or (self.has_blanks and self.pattern is not None):
             return None
         if self.pattern is not None:
             return self.pattern.at_once(lines, self.separator.encode())
@@ -186,12 +192,14 @@ class Dialect:
         if self.is_plain:
             return line
         front, rest = without_clock(line)
+        if self.has_sum:
+            rest = without_sum(rest)
         cells: list[str] | None = [rest]
         if self.pattern is not None:
             cells = self.pattern.cells(rest)
         elif self.has_blanks:
             cells = rest.split()
-        if cells is None or (self.has_clock and not front):
+        if cells is None or not rest or (self.has_clock and not front):
             return in_quotes(line)
         if self.pattern is not None:
             cells = [quoted(cell, self.separator) for cell in cells]
@@ -243,6 +251,12 @@ def without_clock(line: str) -> tuple[str, str]:
     return (found[1] or found[2], line[found.end() :]) if found else ("", line)
 
 
+def without_sum(line: str) -> str:
+    """Return a sentence of NMEA 0183 without its check sum; nothing where that is wrong."""
+    found = _SENTENCE.fullmatch(line)
+    return f"${found[1]}" if found and reduce(xor, found[1].encode(), 0) == int(found[2], 16) else ""
+
+
 def split(line: str, separator: str) -> list[str]:
     """Return the fields of a line without the blanks around them; an unfinished quote is a character."""
     if separator == " ":
@@ -269,7 +283,9 @@ def labels_of(texts: Sequence[str]) -> list[str]:
     behind a label are x, y and z.
     """
     names, group = list[str](), ""
-    for text in texts[:-1]:
+    for place, text in enumerate(texts[:-1]):
+        if place and (unit := BEHIND.match(text)) and is_unit(unit[1]):
+            text = text[unit.end() :]
         found = [label.strip() for label in LABEL.findall(text)]
         group = found[-2] if len(found) > 1 else group
         names.append(f"{group} {found[-1]}".strip() if found else "")

@@ -15,6 +15,7 @@ from itertools import pairwise
 
 from tiltcal.column_names import AXES, TIME, role_of
 from tiltcal.dialect import (
+    BEHIND,
     COMMENTS,
     LABEL,
     MOMENT,
@@ -27,6 +28,7 @@ from tiltcal.dialect import (
     printed,
     split,
     without_clock,
+    without_sum,
 )
 from tiltcal.units import is_unit
 
@@ -40,7 +42,8 @@ LONGEST_PATTERN = 2000  # characters of a line with labels
 FEW = 20  # lines of which all show how rows are written, not the later half of them
 
 _OPEN_DATE = re.compile(r"(\d{1,2})[-/](\d{1,2})[-/](?:\d{4}|\d\d)(?!\d)")
-_BEHIND = re.compile(r"[ \t]*[(\[]?([^\s,;|()\[\]]+)")
+_ARRAY = re.compile(r"\s*\[\s*\{")
+_THOUSANDS, _WITH_POINT = re.compile(r"[-+]?\d{1,3}(?:,\d{3})+"), re.compile(r"[-+]?\d*\.\d+")
 _MIXED = re.compile(r"\d[ \t]*+[,;|][ \t]*+[-+.\d]|\d[ \t]++[-+.\d]")
 
 
@@ -57,7 +60,9 @@ class _Reading:
     def of(cls, lines: Sequence[str], separator: str) -> _Reading:
         cells = tuple(split(line, separator) for line in lines)
         flat = [cell for row in cells for cell in row]
-        commas = separator != "," and any(WITH_COMMA.fullmatch(cell) for cell in flat if cell[:1] != ",")
+        commas = [cell for cell in flat if cell[:1] != "," and WITH_COMMA.fullmatch(cell)]
+        if separator == "," and (all(map(_THOUSANDS.fullmatch, commas)) or any(map(_WITH_POINT.fullmatch, flat))):
+            commas = []  # in quotes, where a comma may stand for thousands
         decimal = "," if commas else "."
         return cls(separator, decimal, cells, tuple(tuple(kind_of(cell, decimal) for cell in row) for row in cells))
 
@@ -77,7 +82,8 @@ class _Reading:
         """Return what decides between separators: the numbers, then whether names fit, then the fewer fields."""
         score, fields = self.count(rows)
         named = any(len(kinds) == fields and {"text"} == {*kinds} - {"missing"} for kinds in self.kinds)
-        return score, named, -fields
+        filled = any(self.cells[row][-1] for row in rows if len(self.cells[row]) == fields)
+        return score, named, -fields + (not filled)
 
     def _texts(self, row: int) -> list[str]:
         return [cell for cell, kind in zip(self.cells[row], self.kinds[row], strict=True) if kind == "text"]
@@ -90,10 +96,14 @@ def dialect_of(lines: Sequence[str]) -> Dialect:
     """
     lines = list(lines[:HEAD_LINES])
     filled = [row for row, line in enumerate(lines) if line.strip()]
+    if filled and _ARRAY.match("".join(lines[filled[0] :])):
+        raise ValueError("a JSON array, which jq -c '.[]' writes as one object a line")
     later = filled[len(filled) // 2 if len(filled) > FEW else 0 :]  # the table is the last of the head
     fronts = [without_clock(lines[row])[0] for row in later]
     has_clock = sum(map(bool, fronts)) > len(fronts) / 2
     bodies = [without_clock(line)[1] if has_clock else line for line in lines]
+    has_sum = sum(map(bool, map(without_sum, (bodies[row] for row in later)))) > len(later) / 2
+    bodies = [without_sum(line) or line if has_sum else line for line in bodies]
     marked = Counter(mark for row in later for mark in COMMENTS if bodies[row].lstrip().startswith(mark))
     comments = tuple(mark for mark in COMMENTS if marked[mark] <= len(later) / 2)
     found = _pattern_of(bodies, later) or _table_of(bodies, later, comments)
@@ -104,7 +114,7 @@ def dialect_of(lines: Sequence[str]) -> Dialect:
         numbered = not found.has_header
         names = tuple(map(str, range(2, len(found.names) + 2))) if numbered else found.names
         found = replace(found, names=(clock, *names), kinds=("time", *found.kinds), has_clock=True)
-    return replace(found, head=head, comments=comments)
+    return replace(found, head=head, comments=comments, has_sum=has_sum)
 
 
 def _pattern_of(lines: Sequence[str], later: Sequence[int]) -> Dialect | None:
@@ -141,7 +151,7 @@ def _pattern_of(lines: Sequence[str], later: Sequence[int]) -> Dialect | None:
         patterns[shape] for shape in patterns if shape != best and (len(shapes[shape]) > 1 or len(later) < 9)
     )
     listed = _distinct([name or str(place) for place, name in enumerate(names, 1)])
-    behind = [found[1] if (found := _BEHIND.match(text)) and is_unit(found[1]) else "" for text in pattern.texts[1:]]
+    behind = [found[1] if (found := BEHIND.match(text)) and is_unit(found[1]) else "" for text in pattern.texts[1:]]
     if behind and not any(behind[:-1]):  # one unit behind all of them
         behind = behind[-1:] * len(behind)
     return Dialect(

@@ -37,6 +37,19 @@ def test_a_kind_is_probed_fitted_and_applied(kind: str, tmp_path: Path) -> None:
     assert json.loads(summary.stdout)["rows"] == len(READINGS), summary.stderr
 
 
+def test_a_sentence_with_another_check_sum_is_no_row(tmp_path: Path) -> None:
+    sound = "$GPGLL,5300.97914,N,00259.98174,E,125926,A*28"  # of u-blox's receiver description
+    (tmp_path / "log.txt").write_text("\n".join([sound] * 3 + [sound.replace("97914", "97915")]) + "\n")
+    with open_log(tmp_path / "log.txt", skip_bad_rows=True) as log:
+        assert [sorted(block.faults) for block in log.rows([1])] == [[3]]
+
+
+def test_an_array_of_json_is_refused_with_what_makes_a_log_of_it(tmp_path: Path) -> None:
+    (tmp_path / "log.json").write_text('[\n {"ax": 0.1, "ay": 0.2},\n {"ax": 0.1, "ay": 0.3}\n]\n')
+    refused = tiltcal("probe", "log.json", cwd=tmp_path)
+    assert (refused.returncode, "jq -c '.[]'" in refused.stderr) == (2, True)
+
+
 def test_the_page_on_logs_names_every_kind() -> None:
     page = (ROOT / "docs" / "how-to" / "my-log.md").read_text(encoding="utf-8")
     assert [kind for kind in KINDS if kind not in page] == []

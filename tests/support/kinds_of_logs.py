@@ -46,6 +46,13 @@ def _numbers(a: Sequence[float], digits: int = 4, between: str = ",") -> str:
     return between.join(f"{value:.{digits}f}" for value in a)
 
 
+def _sentence(text: str) -> str:
+    total = 0
+    for byte in text.encode():
+        total ^= byte
+    return f"${text}*{total:02X}"
+
+
 def _ms(moment: datetime) -> str:
     return f"{moment:%H:%M:%S}.{moment.microsecond // 1000:03d}"
 
@@ -109,8 +116,8 @@ KINDS: dict[str, Kind] = {
         lambda r: f"{1772357400000000000 + r[0] * 10_000_000},{r[1]:.4f},{_numbers(MS2 * r[3][::-1], 6)}",
         "utf-8",
     ),
-    "phyphox, decimal comma": (
-        '"Time (s)";"Acceleration x (m/s^2)";"Acceleration y (m/s^2)";"Acceleration z (m/s^2)"\n',
+    "phyphox, German": (
+        '"Zeit (s)";"Beschleunigung x (m/s^2)";"Beschleunigung y (m/s^2)";"Beschleunigung z (m/s^2)"\n',
         lambda r: _comma(f"{r[1]:.6E};{_numbers(MS2 * r[3], 6, ';')}"),
         "utf-8",
     ),
@@ -183,10 +190,36 @@ KINDS: dict[str, Kind] = {
         lambda r: f"| {r[1]:.2f} | {_numbers(r[3], 4, ' | ')} |",
         "utf-8",
     ),
+    "sentences with a check sum": (
+        "",
+        lambda r: _sentence(f"VNIMU,+01.06,-00.25,+03.06,{_numbers(MS2 * r[3])}"),
+        "utf-8",
+    ),
+    "ESP-IDF": ("", lambda r: f"I ({10 * r[0]}) MPU: ax={r[3][0]:.4f}g ay={r[3][1]:.4f}g az={r[3][2]:.4f}g", "utf-8"),
+    "LabVIEW": (
+        "Separator\tTab\nSamples\t9\t9\t9\nY_Unit_Label\tg\tg\tg\n***End_of_Header***\t\t\t\nX_Value\tax\tay\taz\tComment\n",
+        lambda r: f"{r[1]:.6f}\t{_numbers(r[3], 6, chr(9))}\t",
+        "utf-8",
+    ),
+    "MQTT": (
+        "",
+        lambda r: "imu/accel {'x': %.4f, 'y': %.4f, 'z': %.4f}" % tuple(MS2 * r[3]),  # noqa: UP031
+        "utf-8",
+    ),
+    "decimal commas in quotes": (
+        '"Zeit","Xa","Ya","Za"\n',
+        lambda r: ",".join(f'"{_comma(f"{v:.4f}")}"' for v in (r[1], *r[3])),
+        "utf-8",
+    ),
+    "Betaflight": (
+        '"loopIteration","accSmooth[0]","accSmooth[1]","accSmooth[2]"\n',
+        lambda r: f"{r[0]},{_numbers(r[3], 5)}",
+        "utf-8",
+    ),
     "brackets": ("", lambda r: f"[{_numbers(MS2 * r[3], 3, ', ')}]", "utf-8"),
     "numpy.savetxt": ("# t x y z\n", lambda r: f"{r[1]:.18e} {_numbers(MS2 * r[3], 12, ' ')}", "utf-8"),
 }
-UNNAMED = {"GENEActiv": "x=2,y=3,z=4"}
+UNNAMED = {"GENEActiv": "x=2,y=3,z=4", "sentences with a check sum": "x=5,y=6,z=7"}
 """What a person must say of a log that names nothing and has more than three numbers."""
 
 

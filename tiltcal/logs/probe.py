@@ -87,6 +87,9 @@ def probe_log(path: str, progress: Progress | None = None) -> LogFacts:
             axes = {role: log.names[k] for k, role in enumerate(guessed.roles) if role in AXES}
         where = {role: log.names.index(name) for role, name in {**named, **axes}.items()}
         record = read_columns(log, where) if where else read_columns(log, {"x": 0})
+        if where and record.faulty == log.rows_read > 0:
+            with open_log(path) as again:
+                read_columns(again, where)  # says what is in the first of them
         readings = record.of([axis for axis in AXES if axis in where])
         means, turned = _rest(readings)
         units = {axis: spelt(log.unit(where[axis]) or "") for axis in axes}
