@@ -101,4 +101,4 @@ def takes(declaration: type) -> Callable[[F], F]:
 
 def _written(kind: Any) -> str:
     """Return a type as an annotation, without the modules of Python's own types."""
-    return re.sub(r"\b(collections\.abc|datetime|pathlib)\.", "", inspect.formatannotation(kind))
+    return re.sub(r"\b(?:collections\.abc|datetime|pathlib(?:\._local)?)\.", "", inspect.formatannotation(kind))
