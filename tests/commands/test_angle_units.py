@@ -67,6 +67,17 @@ def test_no_error_is_added(procedure: str, angles: str, unit: str, tmp_path: Pat
     assert max(largest_error(cal, unit, angles), largest_error(again, unit, angles)) < 0.003
 
 
+@pytest.mark.parametrize("unit", PRINTS)
+def test_a_plan_foresees_what_a_fit_states_with_the_lean_that_is_stated(unit: str) -> None:
+    data, stated = table("plane", unit, "inclination"), {"jig": 0.05, "alignment": 0.1}
+    cal = tiltcal.fit("plane", data, serial="A", unit=unit, angles="inclination", **stated)
+    address = f"sim:columns=x,y&unit={unit}&angles=inclination"
+    planned = tiltcal.plan("plane", sensor="serial-columns", address=address, noise=0.02, **stated).uncertainty
+    assert planned["sensitivity.x.z"] == pytest.approx({"mrad": 17.453}.get(unit, 1.0) * sin(radians(0.1)), rel=0.05)
+    assert {name: cal.uncertainty[name] for name in planned} == pytest.approx(planned, rel=0.05)
+    assert "(0.000° near level)" in str(cal)
+
+
 def test_positions_show_the_convention_or_rows_in_which_it_counts_are_suspect() -> None:
     shown = tiltcal.fit("multi-angle", table("multi-angle", "deg", "euler"), serial="A", unit="deg", jig=0.01)
     assert shown.sensor.angles == "euler"

@@ -36,7 +36,7 @@ REFUSED = {
     f"measure level {SCA100T}": "level needs --base",
     f"measure level {SCA100T} --base absent.yaml": "absent.yaml: no such file",
     f"measure plane {SCA100T} --base {FIXTURES}/complete.yaml": "plane needs no --base",
-    f"measure plane {SCA100T} --alignment 1": "plane renews no offset: leave --alignment out",
+    f"measure plane {SCA100T} --alignment 1": "--alignment is of readings that are angles, and",
     f"measure mounting {SCA100T}": "--base",
     f"measure mounting {SCA100T} --base {FIXTURES}/plane.yaml": "plane.yaml is of SIM-42",
     f"measure plane {SCA100T} -o /proc/x.yaml --journal x.jsonl": "/proc/x.yaml",

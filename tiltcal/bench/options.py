@@ -121,7 +121,7 @@ class MeasureOptions(TypedDict, total=False):
         float | None,
         Option(
             "With level: by how much at most the sensor may sit askew since its calibration, about each axis [2]; 0 if "
-            "it was not unplugged.",
+            "it was not unplugged. Of a sensor that prints angles: the standard uncertainty of its lean [0.5].",
             "DEGREES",
             _KNOWN,
         ),
@@ -156,6 +156,10 @@ class PlanOptions(TypedDict, total=False):
         Option("Standard uncertainty of a temperature.", "CELSIUS", _KNOWN, check=require_from_zero),
     ]
     table_lean: _Lean
+    alignment: Annotated[
+        float | None,
+        Option("As measure has it, of a sensor that prints angles [0.5].", "DEGREES", _KNOWN, check=require_from_zero),
+    ]
     noise: Annotated[
         float | None,
         Option(

@@ -15,7 +15,7 @@ from tiltcal.bench.reference import reference_of
 from tiltcal.drivers.bus.clock import VIRTUAL_START
 from tiltcal.errors import Argument, UsageError
 from tiltcal.files.bench import BenchFile, BenchSensor, bench_of, with_device_file
-from tiltcal.files.calibration import BaseFile
+from tiltcal.files.calibration import BaseFile, SensorIdentity
 from tiltcal.files.device import DeviceFile
 from tiltcal.files.document import Document
 from tiltcal.files.moments import stamp
@@ -146,12 +146,15 @@ def _require_suitable(setup: Setup) -> None:
     if isinstance(steps, Rotation):
         setup.stage_channels()
     else:
+        from tiltcal.calibration.angle_units import identified
         from tiltcal.calibration.measurement import require_suitable
 
         if any(setup.machines.values()):
             require_reachable(setup.machines, steps.positions)
         for device in setup.sensors:
-            require_suitable(steps.in_positions(), device.wired, device.orientation)
+            require_suitable(steps.in_positions(), model := device.wired, device.orientation)
+            identity = SensorIdentity(model.name, device.serial, model.unit, model.channels)
+            identified(identity, steps.in_positions(), setup.settings.angles)
     if not setup.typical_temperature:
         return
     if isinstance(steps, Rotation):

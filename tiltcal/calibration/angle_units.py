@@ -18,21 +18,25 @@ from tiltcal.core.samples import SampleSummary
 from tiltcal.drivers.model import OF_TILT
 from tiltcal.errors import EstimateError, UsageError
 from tiltcal.files.calibration import ANGLE, EULER, INCLINATION, CalibrationRecord, SensorIdentity
-from tiltcal.files.procedure import FreePositions, PositionProcedure
+from tiltcal.files.procedure import FreePositions, LevelCompletion, PositionProcedure
 
 STEEP = radians(60.0)  # one axis beyond shows the convention of a device that is turned about the vertical, radians
 CLEARLY = 4.0  # a convention is the one whose residuals are smaller by this factor
 FEWER = "no position nearer than 5° to ±90° of a channel is fitted where readings are angles"
 
 
-def identified(sensor: SensorIdentity, angles: str | None = None) -> SensorIdentity:
+def identified(
+    sensor: SensorIdentity, procedure: PositionProcedure | None = None, angles: str | None = None
+) -> SensorIdentity:
     """Return the identity of a sensor with what its unit says of its readings, and a convention that is stated."""
-    if sensor.unit not in OF_TILT:
-        if angles is not None:
-            why = f"is of readings that are angles, and {sensor.serial} reads {sensor.unit}"
-            raise UsageError(option="angles", why=why, advice="leave it out")
-        return sensor.replaced(angles=None)
-    return sensor.replaced(reads=ANGLE, angles=angles or sensor.angles)
+    if sensor.unit in OF_TILT:
+        return sensor.replaced(reads=ANGLE, angles=angles or sensor.angles)
+    askew = procedure is not None and not isinstance(procedure, LevelCompletion) and procedure.alignment
+    for option, stated in (("angles", angles), ("alignment", askew)):
+        if stated:
+            why = f"is of readings that are angles, and {sensor.serial or sensor.model} reads {sensor.unit}"
+            raise UsageError(option=option, why=why, advice="leave it out")
+    return sensor.replaced(angles=None)
 
 
 def read_in_degrees(sensor: MeasuredSensor, procedure: PositionProcedure, angles: str | None = None) -> MeasuredSensor:
@@ -40,7 +44,7 @@ def read_in_degrees(sensor: MeasuredSensor, procedure: PositionProcedure, angles
 
     EstimateError: a procedure of free positions, which needs components of gravity.
     """
-    identity = identified(sensor.sensor, angles)
+    identity = identified(sensor.sensor, procedure, angles)
     readings = identity.angle_readings
     if readings is None:
         return sensor

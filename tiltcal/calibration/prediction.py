@@ -103,7 +103,7 @@ def predict(
             procedure = _along_ramp(procedure)
     if bench.thermometer is None:
         bench = replace(bench, thermometer=model.thermometer_rounding)
-    identity = identified(SensorIdentity(model.name, "", model.unit, model.channels, angles=model.angles))
+    identity = identified(SensorIdentity(model.name, "", model.unit, model.channels, angles=model.angles), procedure)
     design, drift = design_of(identity, procedure, bench, nominal=model, base=base), _usual_drift(model, base)
     kept = [one for one in procedure.positions if not too_steep(one.gravity, design.channels, identity.angle_readings)]
     if not kept:
@@ -144,6 +144,8 @@ def _planned(
     """Return what positions will observe, with the uncertainty of their means."""
     adc = rounding_of_means(scatter**2, model.resolution, len(positions)) if model.resolution else 0.0
     u = max(hypot(scatter / sqrt(samples), adc), 1e-12 * abs(model.sensitivity))
+    if design.angles is not None:
+        u, adc = (float(one * design.angles.steepness(np.zeros(()))) for one in (u, adc))
     settings = [None, *((position.gravity, position.heading) for position in positions)]
     return [
         Observation(

@@ -55,7 +55,8 @@ def design_of(
         angles=angles,
     )
     if procedure.axes and angles is not None:
-        return _with_lean(design, nominal, OF_TILT.get(sensor.unit, 0.0) if not angles.slope else DEGREES)
+        usual = OF_TILT.get(sensor.unit, 0.0) if not angles.slope else DEGREES
+        return _with_lean(design, nominal, usual, radians(procedure.alignment) or LEAN_OF_CHANNELS)
     if procedure.axes:
         return design if design.free or nominal is None else _with_data_sheet(design, nominal)
     if base is not None:
@@ -84,13 +85,13 @@ def _with_data_sheet(design: Design, model: Model) -> Design:
     return replace(design, axes=axes, nonlinearity=order, priors=priors, nominal=scale)
 
 
-def _with_lean(design: Design, model: Model | None, usual: float) -> Design:
+def _with_lean(design: Design, model: Model | None, usual: float, lean: float) -> Design:
     """Return the design of channels that print angles, with what no position determines of where they point."""
     size = usual if model is None or not model.scaled or (design.angles and design.angles.slope) else model.sensitivity
     axes = design.axes
     if len(design.channels) <= 2 and "z" not in axes:
         axes = (*axes, "z")
-    u = abs(size) / DEGREES * sin(LEAN_OF_CHANNELS)
+    u = abs(size) / DEGREES * sin(lean)
     priors = {f"sensitivity.{c}.z": Prior(0.0, u) for c in design.channels if "z" not in design.axes}
     if design.angles is not None and design.angles.euler and "y" in design.channels:
         priors["sensitivity.y.z"] = Prior(0.0)  # a turn about x is an offset of the roll, exactly

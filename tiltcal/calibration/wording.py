@@ -94,10 +94,11 @@ def level_summary(calibration: CalibrationRecord) -> str:
     for row, channel in enumerate(coefficients.channels):
         offset, change = float(coefficients.offset[row]), found.change[channel]
         column = coefficients.axes.index(channel) if channel in coefficients.axes else row
-        angle = degrees(asin(max(-1.0, min(change / float(coefficients.sensitivity[row, column]), 1.0))))
+        own = coefficients.per_radian * float(coefficients.sensitivity[row, column])
+        angle = degrees(asin(max(-1.0, min(change / own, 1.0))))
         lines.append(
             f"  offset {channel}  {plus_minus(offset, calibration.uncertainty.get(f'offset.{channel}', 0.0))} "
-            f"{sensor.unit}; was {offset - change:.6g}, changed by "
+            f"{sensor.fitted_unit}; was {offset - change:.6g}, changed by "
             f"{plus_minus(change, found.change_uncertainty.get(channel, 0.0), signed=True)} ({angle:+.3f}°)"
         )
     lines.append(f"  {found.verdict}")
@@ -137,10 +138,10 @@ def fit_lines(calibration: CalibrationRecord) -> Iterator[str]:
     """Yield how well the positions agree, and what speaks against it."""
     fit, sensor, worst = calibration.fit, calibration.sensor, calibration.fit.worst
     if worst is not None:
-        own = float(np.max(np.abs(calibration.coefficients.sensitivity)))
+        own = calibration.coefficients.per_radian * float(np.max(np.abs(calibration.coefficients.sensitivity)))
         angle = degrees(asin(min(abs(worst.residual) / own, 1.0)))
         yield (
-            f"worst residual  {worst.position}, channel {worst.channel}: {worst.residual:g} {sensor.unit} "
+            f"worst residual  {worst.position}, channel {worst.channel}: {worst.residual:g} {sensor.fitted_unit} "
             f"({angle:.3f}° near level)"
         )
     if fit.degrees_of_freedom is not None:

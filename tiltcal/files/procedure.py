@@ -165,6 +165,7 @@ class PositionProcedure(Procedure):
     gain: int = 0  # of the sensitivity
     nonlinearity: int = 0
     reference: float | None = None  # °C
+    alignment: float = 0.0  # how askew a sensor sits, degrees, of one that prints angles its lean; 0 where not stated
 
     @property
     def takes_base(self) -> bool:
@@ -186,6 +187,14 @@ class PositionProcedure(Procedure):
 
     def in_positions(self) -> PositionProcedure:
         return self
+
+    def with_alignment(self, alignment: float | None) -> Self:
+        if alignment is None:
+            return self
+        if not is_number(alignment, 0.0) or alignment > MOST_ASKEW or (self.axes and not alignment):
+            why = f"is {'above' if self.axes else 'between'} 0 and {MOST_ASKEW:g} degrees, not {shown(alignment)}"
+            raise UsageError(option="alignment", why=why.replace("above 0 and", "above 0 and at most"))
+        return replace(self, alignment=alignment, record={**self.record, "alignment": alignment})
 
     def least_seconds(self, samples: int, interval: float, settle: float, done: int = 0) -> float:
         """Return how long the positions behind those done must hold still and are sampled, an interval apart, seconds.
@@ -308,16 +317,6 @@ class MountingCompletion(Completion):
 class LevelCompletion(Completion):
     """Level positions, which renew the offset; the sensor may sit askew by ``alignment`` since, degrees."""
 
-    alignment: float
-
-    def with_alignment(self, alignment: float | None) -> Self:
-        if alignment is None:
-            return self
-        if not (is_number(alignment, 0.0) and alignment <= MOST_ASKEW):
-            why = f"is between 0 and {MOST_ASKEW:g} degrees, not {shown(alignment)}"
-            raise UsageError(option="alignment", why=why)
-        return replace(self, alignment=alignment, record={**self.record, "alignment": alignment})
-
 
 def _procedure_of(file: ProcedureFile, document: Document, given: float | None) -> PositionProcedure:
     """Return the procedure of a file of positions, with an angle that the user gives instead of the file's, degrees."""
@@ -340,9 +339,10 @@ def _procedure_of(file: ProcedureFile, document: Document, given: float | None) 
         "settle": file.settle,
         "soak": file.soak,
         "reference": file.reference,
+        "alignment": file.alignment,
     }
     if asked.level:
-        return LevelCompletion(**stated, alignment=file.alignment)
+        return LevelCompletion(**stated)
     if asked.mounting:
         return MountingCompletion(**stated)
     if asked.free:

@@ -96,7 +96,7 @@ def plan(procedure: str | Path, **options: Unpack[PlanOptions]) -> Plan:
     model = model_named(name)
     if (address := stated["address"]) is not None:
         model = model.at(parse_address(address))
-    steps = find_procedure(procedure, stated["tilt"])
+    steps = find_procedure(procedure, stated["tilt"]).with_alignment(stated["alignment"])
     if stated["closing"]:
         steps = steps.in_positions().with_closing()
     steps.require_usable(jig=jig)
@@ -408,7 +408,7 @@ def _results(
 def changes_in_words(calibration: CalibrationRecord) -> str:
     """Return how the readings of the last position differ from those of the first, where both are one position."""
     first, last = calibration.positions[0], calibration.positions[-1]
-    coefficients, unit = calibration.coefficients, calibration.sensor.unit
+    coefficients, unit = calibration.coefficients, calibration.sensor.fitted_unit
     parts = []
     for channel in coefficients.channels:
         change = last.mean[channel] - first.mean[channel]

@@ -220,7 +220,8 @@ class FitOptions(TypedDict, total=False):
         float | None,
         Option(
             "With level: by how much at most the sensor may sit askew since its calibration, about each axis, degrees "
-            "[2]; 0 if it was not unplugged.",
+            "[2]; 0 if it was not unplugged. Of a sensor that prints angles: the standard uncertainty of its lean "
+            "[0.5].",
             "DEGREES",
             _UNCERTAINTIES,
         ),

@@ -65,7 +65,7 @@ def tilt_figure(calibration: CalibrationRecord, curves: Mapping[str, TiltUncerta
 
 def residual_figure(calibration: CalibrationRecord) -> SvgFigure | None:
     """Return the residuals of every position, one panel per channel; None if the file has none."""
-    residuals, coefficients, unit = calibration.fit.residuals, calibration.coefficients, calibration.sensor.unit
+    residuals, coefficients, unit = calibration.fit.residuals, calibration.coefficients, calibration.sensor.fitted_unit
     positions = [name for name, row in residuals.items() if row]
     if not positions:
         return None
@@ -104,7 +104,7 @@ def _plot_residuals_of(panel: Axes, calibration: CalibrationRecord, positions: l
             panel.hlines(row, 0.0, value, color=GREY, linewidth=0.4)
             bar = NORMAL_FACTOR * u.get(name, 0.0)
             panel.errorbar(value, row, xerr=bar, color=colour, marker=mark, markersize=3.2, linewidth=0.8)
-    panel.set_xlabel(f"residual of {channel} [{calibration.sensor.unit}]")
+    panel.set_xlabel(f"residual of {channel} [{calibration.sensor.fitted_unit}]")
     panel.tick_params(axis="y", length=0)
     panel.spines["left"].set_visible(False)
 
@@ -127,7 +127,7 @@ def temperature_figure(calibration: CalibrationRecord) -> SvgFigure | None:
             half = _half_width(calibration, [f"offset.{channel}", *powers], t - thermal.reference, 0)
             _plot_curve(offset, t, curve, half, channel)
             _plot_positions(offset, calibration, thermal, column)
-            offset.set_ylabel(f"offset of {channel} [{calibration.sensor.unit}]")
+            offset.set_ylabel(f"offset of {channel} [{calibration.sensor.fitted_unit}]")
             if gains:
                 gain = 100.0 * polynomial(thermal.gain[column], t - thermal.reference)
                 names = [f"temperature.sensitivity.{channel}.{k + 1}" for k in range(thermal.gain.shape[1])]

@@ -174,7 +174,7 @@ def remarks(calibration: CalibrationRecord) -> list[str]:
 
 def verdict(calibration: CalibrationRecord) -> Iterator[str]:
     """Yield the verdict on the fit, in sentences."""
-    fit, unit = calibration.fit, calibration.sensor.unit
+    fit, unit = calibration.fit, calibration.sensor.fitted_unit
     yield from (f"{line[:1].upper()}{line[1:]}." for line in fit_lines(calibration))
     if fit.jig_degrees is not None:
         yield f"Stated standard uncertainty of a set angle: {fit.jig_degrees:g}°."

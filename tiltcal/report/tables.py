@@ -227,7 +227,10 @@ def position_table(calibration: CalibrationRecord) -> Table | None:
     own, mounted, levelled = calibration.runs
     settings = [as_set(calibration.procedure.set.get(one.position, PositionSet())) for one in own]
     settings += ["for the mounting"] * len(mounted) + ["level, for the offset"] * len(levelled)
-    decimals, unit = three_digits(v for row in fit.residuals.values() for v in row.values()), calibration.sensor.unit
+    decimals, unit = (
+        three_digits(v for row in fit.residuals.values() for v in row.values()),
+        calibration.sensor.fitted_unit,
+    )
     columns = [
         Column("Position", names, "name"),
         Column("As set", settings),

@@ -11,7 +11,7 @@ from operator import itemgetter
 
 import numpy as np
 
-from tiltcal.core.angle_readings import DEGREES, reads_steep
+from tiltcal.core.angle_readings import reads_steep
 from tiltcal.core.attitude import Vector, gravity_from_tilt
 from tiltcal.core.estimation.equations import ChannelReadings, Equations
 from tiltcal.core.estimation.free import UNKNOWNS, planned_uncertain
@@ -151,7 +151,7 @@ def predict_uncertainty(
     counts; of a ``level`` procedure no other direction is proposed. An EstimateError names coefficients that the plan
     leaves undetermined, and a position that would determine them.
     """
-    sensitivity /= 1.0 if design.angles is None else DEGREES
+    sensitivity = sensitivity if design.angles is None else design.angles.per_degree(sensitivity)
     nominal = {
         **{f"sensitivity.{channel}.{channel}": sensitivity for channel in design.channels},
         **{f"temperature.offset.{channel}.1": drift for channel in design.channels},
