@@ -165,3 +165,17 @@ def test_a_sensor_of_one_axis_needs_no_tilt_of_the_other(tmp_path: Path) -> None
     assert calibration.offset["x"] == pytest.approx(2.5, abs=1e-3)
     assert calibration.sensitivity["x", "x"] == pytest.approx(2.0, abs=1e-3)
     assert "no position tilts y: the sensitivity to it counts as zero" in said
+
+
+def test_each_log_of_a_session_has_a_clock_of_its_own(tmp_path: Path) -> None:
+    """A soak of 360 s does not reach into the log before; a table is one file."""
+    draw = np.random.default_rng(1)
+    for name, celsius in (("warm", 24.0), ("cold", 5.0)):
+        rows = draw.normal([0.0, 1024.0, 1024.0, celsius], [0.0, 0.5, 0.5, 0.01], (200, 4))
+        rows[:, 0] = np.arange(200.0)
+        write(tmp_path / f"{name}.csv", rows, "time,x,y,temperature\n")
+    logs = ("level-warm=warm.csv", "level-cold=cold.csv", "--sensor", "sca100t-d02", "--serial", "A", "-o", "a.yaml")
+    done = tiltcal("fit", "two-temperature", *logs, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    refused = tiltcal("fit", "two-temperature", "--table", *logs, cwd=tmp_path)
+    assert (refused.returncode, refused.stderr) == (2, "tiltcal: a --table is one file, and 2 are given: name one\n")

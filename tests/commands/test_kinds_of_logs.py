@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
+import polars as pl
 import pytest
 from support import ROOT
 from support.command import tiltcal
@@ -14,6 +16,7 @@ from support.kinds_of_logs import KINDS, OFFSET, READINGS, UNNAMED, write_kind
 import tiltcal as library
 from tiltcal.errors import InputError
 from tiltcal.logs.formats import open_log
+from tiltcal.logs.log import LogClock
 
 PER_G = {"g": 1.0, "mg": 1e3, "m/s2": 9.80665, "mm/s2": 9806.65}
 
@@ -110,3 +113,40 @@ def test_a_row_that_stands_before_the_table_too_is_a_row(tmp_path: Path) -> None
     with open_log(tmp_path / "log.txt", skip_bad_rows=True) as log:
         times = [time for block in log.rows(range(4)) for time in block.values[0].tolist()]
     assert (times[:12], len(times)) == ([10.0 * number for number in range(12)], 20)
+
+
+@pytest.mark.parametrize(
+    ("lines", "said"),
+    [
+        (["date,u,v", "2026-03-01,1,2", "2026-03-02,2,3"], "1  date +-\n +2  u +-"),
+        (["name,incl_a", "foo,1", "bar,2"], "2 rows\nnext: tiltcal apply"),
+        ([f"0.05|{k}|-0.1|3{k % 3}.5|20.5" for k in range(60)], "60 rows"),
+    ],
+)
+def test_a_log_without_known_readings_is_described_from_a_pipe_too(lines: list[str], said: str, tmp_path: Path) -> None:
+    text = "\n".join([*lines, ""])
+    (tmp_path / "log.csv").write_text(text)
+    pl.read_csv(tmp_path / "log.csv", has_header=not lines[0][0].isdigit()).write_parquet(tmp_path / "log.parquet")
+    for log in ("log.csv", "-", "log.parquet"):
+        done = tiltcal("probe", log, cwd=tmp_path, said=text if log == "-" else "")
+        assert done.returncode == 0, done.stderr
+        assert re.search(said, done.stdout), done.stdout
+    assert tiltcal("probe", "log.csv", "--self-test", cwd=tmp_path).returncode == 2
+
+
+def test_a_log_at_rest_has_one_attitude(tmp_path: Path) -> None:
+    rows = np.random.default_rng(0).normal([0.0, 0.0, 1.0], 0.01, (3000, 3))
+    (tmp_path / "log.csv").write_text("x,y,z\n" + "".join(f"{x:.5f},{y:.5f},{z:.5f}\n" for x, y, z in rows))
+    done = tiltcal("probe", "log.csv", cwd=tmp_path)
+    assert done.stdout.splitlines()[-2:] == [
+        "1 still attitude, 1 of them different",
+        "next: tiltcal noise log.csv --unit g",
+    ]
+
+
+def test_the_first_times_of_a_log_decide_their_unit() -> None:
+    """Elapsed nanoseconds reach 1e12 after 1000 s, as milliseconds since 1970 begin in 2001."""
+    times, clock = np.arange(0.0, 1.1e12, 1e11), LogClock()
+    parts = [clock.seconds(part, None, None, "log.csv")[0] for part in (times[:10], times[10:])]
+    assert np.concatenate(parts).tolist() == times.tolist()
+    assert clock.remarks == []

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 from shlex import quote
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
@@ -13,9 +13,6 @@ from tiltcal.cli import options
 from tiltcal.cli.talk import progress_bar, remark
 from tiltcal.files.calibration_output import require_replaceable
 from tiltcal.logs.options import FitOptions
-
-if TYPE_CHECKING:
-    pass
 
 _EXAMPLES = """\b
 Examples:
@@ -49,13 +46,7 @@ def command(procedure: str, logs: tuple[str, ...], output: Path, topic: str | No
     files = [log if os.path.exists(log) else log.partition("=")[2] or log for log in logs]
     require_replaceable(output, None, *files, *filter(None, [settings["segments"], settings["base"]]))
     with progress_bar("fit") as progress:
-        calibration = fit(
-            procedure,
-            data[0] if settings["table"] and len(data) == 1 else data,
-            say=remark,
-            progress=progress,
-            **settings,
-        )
+        calibration = fit(procedure, data, say=remark, progress=progress, **settings)
     calibration.save(output, remark)
     record = calibration.record
     click.echo(result_in_words(record, find_procedure(procedure, settings["tilt"])))

@@ -46,8 +46,8 @@ def command(device: str | None, sensor: str | None, address: str | None, self_te
     a sensor does not answer, 1 if its self-test fails.
     """
     if address is None:
-        if device is None or sensor is not None:
-            raise UsageError("give a LOG, or the --address of a sensor")
+        if device is None or sensor is not None or self_test:
+            raise UsageError("give a LOG alone, or the --address of a sensor")
         return _read(device, as_json)
     parsed = parse_address(address)
     sensor = sensor or device

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -66,6 +66,7 @@ from tiltcal.logs.positions import (
 )
 from tiltcal.logs.recordings import (
     Recordings,
+    are_paths,
     length_remark,
     of_raw_readings,
     open_recordings,
@@ -91,9 +92,10 @@ def fit_recorded(
     """Calibrate a sensor from recorded data; arguments and errors are those of :func:`tiltcal.fit`."""
     steps = find_procedure(procedure, options["tilt"]).with_alignment(options["alignment"]).in_positions()
     steps.require_usable(jig=options["jig"])
+    data = data[0] if are_paths(data) and len(data) == 1 else data
     table = _is_table(data, options["segments"]) if options["table"] is None else options["table"]
     if table:
-        _require_table_alone(steps, options)
+        _require_table_alone(data, steps, options)
     bench = BenchUncertainty(options["jig"], options["thermometer"], options["table_lean"], options["heading"])
     model = model_named(options["sensor"]) if options["sensor"] else None
     if model is not None:
@@ -200,8 +202,10 @@ class FitPositions:
     holds: Trimmed | None = None
 
 
-def _require_table_alone(procedure: PositionProcedure, options: FitOptions) -> None:
+def _require_table_alone(data: Any, procedure: PositionProcedure, options: FitOptions) -> None:
     """Raise UsageError for what contradicts a table of positions."""
+    if are_paths(data):
+        raise UsageError(("a ", Argument("table"), f" is one file, and {len(data)} are given"), advice="name one")
     if options["segments"] is not None:
         why = ("a ", Argument("table"), " has its positions already")
         raise UsageError(why, advice=("leave ", Argument("segments"), " out"))
@@ -299,7 +303,7 @@ def _of_log(
         )
     if found:
         holds = trimmed(record, sensor.channels, found, rails, fewest)
-        stated, origin = [*holds.segments], _trimmed_origin(holds, len({*_holds_of(found)}), origin, say)
+        stated, origin = [*holds.segments], _trimmed_origin(holds, origin, say)
         _require_held(procedure, holds, file)
     segments = stated or [Segment(procedure.positions[0].name, 0, len(record), None, None)]
     soak = (procedure.soak.thermometer or SOAKS * procedure.soak.seconds) if procedure.thermal else 0.0
@@ -316,31 +320,25 @@ def _of_log(
     return FitPositions(measurements, provenance, None, step, means, record.of(sensor.channels), holds)
 
 
-def _trimmed_origin(holds: Trimmed, count: int, origin: SegmentsRecord | None, say: Remark) -> SegmentsRecord | None:
+def _trimmed_origin(holds: Trimmed, origin: SegmentsRecord | None, say: Remark) -> SegmentsRecord | None:
     """Say what was trimmed and left out of the holds, and return where the segments come from with it."""
-    for line in holds.in_words(count):
+    for line in holds.in_words():
         say(line)
     if not (holds.left_out or holds.trimmed):
         return origin
     before = origin or SegmentsRecord(found="one log for each position")
-    return before.replaced(holds=count, trimmed=holds.trimmed, left_out=holds.left_out)
-
-
-def _holds_of(segments: Sequence[Segment]) -> Iterator[tuple[str, int]]:
-    """Yield a mark of the hold of each segment: of those of one name that follow each other it is one."""
-    number, last = -1, None
-    for segment in segments:
-        number += segment.name != last
-        last = segment.name
-        yield segment.name, number
+    return before.replaced(holds=holds.holds, trimmed=holds.trimmed, left_out=holds.left_out)
 
 
 def _require_held(procedure: PositionProcedure, holds: Trimmed, file: str) -> None:
-    """Refuse a procedure of set positions of which one has no hold left."""
+    """Refuse a procedure of set positions of which one has no hold left, and any where none is left."""
     there = {segment.name for segment in holds.segments}
-    gone = [name for name in procedure.known if name not in there]
-    reasons = [f"{name} ({why})" for name, why in holds.left_out.items() if name.partition(" (")[0] in gone]
-    if gone and reasons:
+    reasons = [
+        f"{name} ({why})"
+        for name, why in holds.left_out.items()
+        if not there or ((position := name.partition(" (")[0]) in procedure.known and position not in there)
+    ]
+    if reasons:
         raise InputError(f"no hold is left in {', '.join(reasons)}: take it again", file=file)
 
 
@@ -431,8 +429,7 @@ def _serial(serial: str | None, base: str | Path | None) -> str:
 
 def _is_table(data: Any, segments: Any) -> bool:
     """Return whether a frame is one of positions."""
-    paths = isinstance(data, Sequence) and not isinstance(data, str) and all(isinstance(k, str | Path) for k in data)
-    if segments is not None or paths or isinstance(data, str | Path):
+    if segments is not None or are_paths(data) or isinstance(data, str | Path):
         return False
     return "position" in FrameReader(data).names
 

@@ -103,13 +103,13 @@ class LogClock:
     ) -> tuple[Array, str | None, str]:
         """Return the next times in seconds, the unit that they were in, and how it is known."""
         by = "its name"
-        if self._moments is None and np.isfinite(times).any():
+        if self._moments is None and np.isfinite(times).any():  # decided once: the first of them show it
             self._moments = are_moments(cells)
+            self._unit = unit_since_epoch(times)
         if self._moments:
             stated = None
         elif stated is None:
-            stated = self._unit = self._unit or unit_since_epoch(times)
-            by = "the size of its numbers"
+            stated, by = self._unit, "the size of its numbers"
         if stated is not None:
             times = seconds_since_1970(times, stated, file)
         self._watch(times)

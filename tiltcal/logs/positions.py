@@ -31,6 +31,7 @@ from tiltcal.files.moments import stamp_of
 from tiltcal.files.procedure import PositionProcedure
 from tiltcal.files.tables import Segment, TabledPosition
 from tiltcal.logs.columns import RecordedColumns
+from tiltcal.logs.numbers_and_times import clock_breaks
 
 FEWEST_ROWS = 2
 """Samples that a segment needs for a standard deviation."""
@@ -83,41 +84,43 @@ def intervals_of(
     step = resolution(record.of(channels))
     groups = [list(parts) for _, parts in groupby(segments, key=lambda segment: (segment.name, segment.gravity))]
     names = _distinct([parts[0].name for parts in groups])
+    ends = [0, *(parts[-1].end for parts in groups)]
+    restarts = [0, *(clock_breaks(record.by_role[TIME])[0].tolist() if TIME in record.by_role else ())]
     intervals = []
     for parts, name in zip(groups, names, strict=True):
         interval = _LogInterval(record, channels, parts, file)
-        previous = max((before[-1].end for before in groups if before[-1].end <= parts[0].start), default=0)
-        intervals.append(interval.read(name, step, rails, soak, previous))
+        previous, begun = (max(row for row in rows if row <= parts[0].start) for rows in (ends, restarts))
+        intervals.append(interval.read(name, step, rails, soak, previous, begun))
     _require_not_stuck(intervals, step, file)
     return intervals
 
 
 @dataclass(frozen=True)
 class Trimmed:
-    """What is left of holds that were found: segments, and by name why some rows or the whole hold do not count.
+    """What is left of so many holds that were found: segments, and by name why rows or the whole hold do not count.
 
     ``faults`` are the channels by hold that was at a rail or stood at one value.
     """
 
+    holds: int
     segments: tuple[Segment, ...]
     trimmed: Mapping[str, str]
     left_out: Mapping[str, str]
     faults: Mapping[str, str]
 
-    def in_words(self, holds: int) -> Iterator[str]:
-        """Yield which of so many holds are trimmed or left out, and why."""
+    def in_words(self) -> Iterator[str]:
+        """Yield which holds are trimmed or left out, and why."""
         for what, named in (("left out", self.left_out), ("trimmed", self.trimmed)):
             if named:
                 each = ", ".join(f"{name} ({why})" for name, why in named.items())
-                yield f"{len(named)} of {holds} holds {'is' if len(named) == 1 else 'are'} {what}: {each}"
+                yield f"{len(named)} of {self.holds} holds {'is' if len(named) == 1 else 'are'} {what}: {each}"
 
     @property
     def not_credible(self) -> str | None:
         """What speaks against the sensor: holds lost by rail or standstill; None where little does."""
-        holds = len({segment.name for segment in self.segments}) + len(self.left_out)
         often = Counter(self.faults.values()).most_common(1)
-        if 3 * len(self.faults) > holds or (often and often[0][1] > MOST_FAULTS):
-            return f"{len(self.faults)} of {holds} {LOST_HOLDS} ({', '.join(sorted({*self.faults.values()}))})"
+        if 3 * len(self.faults) > self.holds or (often and often[0][1] > MOST_FAULTS):
+            return f"{len(self.faults)} of {self.holds} {LOST_HOLDS} ({', '.join(sorted({*self.faults.values()}))})"
         return None
 
 
@@ -144,7 +147,7 @@ def trimmed(
             gone[name], faults[name] = fault
             continue
         usable, why = _usable(samples, step)
-        if usable.all() or (why == "" and not usable.all()):
+        if not why:
             kept += parts
             continue
         start, end = _longest(rows, usable)
@@ -153,7 +156,7 @@ def trimmed(
         else:
             shorter[name] = f"{why}: rows {start} to {end}"
             kept.append(replace(parts[0], start=start, end=end))
-    return Trimmed(tuple(kept), shorter, gone, faults)
+    return Trimmed(len(groups), tuple(kept), shorter, gone, faults)
 
 
 def _standing_fault(
@@ -290,8 +293,8 @@ class _LogInterval:
     parts: Sequence[Segment]
     file: str
 
-    def read(self, name: str, step: float, rails: Rails, soak: float, previous: int) -> StaticInterval:
-        """Return what the sensor read; ``previous`` is the row behind the interval before."""
+    def read(self, name: str, step: float, rails: Rails, soak: float, previous: int, begun: int) -> StaticInterval:
+        """Return what the sensor read; ``previous`` is the row behind the last one, at ``begun`` its clock began."""
         for part in self.parts:
             if part.end > len(self.record):
                 raise self._refusal(f"ends at row {part.end}; {self.record.name} has {len(self.record)} rows", part)
@@ -323,7 +326,7 @@ class _LogInterval:
                 where,
             ),
             self.parts[0],
-            self._warming(rise(temperatures), soak, previous),
+            self._warming(rise(temperatures), soak, previous, begun),
             (float(times[0]), float(times[-1])) if len(times) else None,
         )
 
@@ -360,7 +363,7 @@ class _LogInterval:
             self._require_few(len(far), f"the thermometer reads {values[far[0]]:g} °C")
         return np.delete(values, far)
 
-    def _warming(self, own: float, soak: float, previous: int) -> float:
+    def _warming(self, own: float, soak: float, previous: int, begun: int) -> float:
         """Return by how much the temperature rises in the interval, or up to its end over several soaks, °C.
 
         A short segment of a steady ramp looks still, and the sensor is as far behind its thermometer as in a long one.
@@ -372,7 +375,7 @@ class _LogInterval:
         begin = max(previous, start - (SOAKS - 1) * (end - start))
         if time is not None and np.isfinite(time[end - 1]):
             early = np.flatnonzero(~(time[:end] >= time[end - 1] - soak))
-            begin = int(early[-1]) + 1 if len(early) else 0
+            begin = max(int(early[-1]) + 1 if len(early) else 0, begun)
         before = self.record.by_role[TEMPERATURE][min(begin, start) : end]
         return own if begin >= start else max(own, rise(before[np.isfinite(before)]), key=abs)
 

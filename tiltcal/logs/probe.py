@@ -20,6 +20,7 @@ from tiltcal.logs.formats.csv import CsvReader
 from tiltcal.logs.log import LogReader, Progress
 from tiltcal.logs.recordings import unit_of_length
 from tiltcal.logs.still import different, farthest, may_be_means, mean_of, still_attitudes
+from tiltcal.logs.streams import STANDARD
 from tiltcal.printable import counted
 from tiltcal.units import READINGS, spelt
 
@@ -80,82 +81,73 @@ class LogFacts:
 def probe_log(path: str, progress: Progress | None = None) -> LogFacts:
     """Return what a log holds; an InputError where it cannot be read."""
     with open_log(path, skip_bad_rows=True, progress=progress) as log:
-        guessed = _guess(log, path)
         named = column_names(log.names, (*AXES, TIME, TEMPERATURE), {})
+        where = {role: log.names.index(name) for role, name in named.items()}
+        known = where | {name: log.names.index(name) for name in log.unnamed}
+        record = read_columns(log, known or _any_column(log))
+        if known and record.faulty == log.rows_read > 0 and path != STANDARD:
+            with open_log(path) as again:
+                read_columns(again, known)  # says what is in the first of them
+        guessed = _guess(log, record) if isinstance(log, CsvReader) and log.unnamed else None
         axes = {axis: named[axis] for axis in AXES if axis in named}
         if not axes and guessed is not None:
             axes = {role: log.names[k] for k, role in enumerate(guessed.roles) if role in AXES}
-        where = {role: log.names.index(name) for role, name in {**named, **axes}.items()}
-        record = read_columns(log, where) if where else read_columns(log, {"x": 0})
-        if where and record.faulty == log.rows_read > 0:
-            with open_log(path) as again:
-                read_columns(again, where)  # says what is in the first of them
-        readings = record.of([axis for axis in AXES if axis in where])
-        means, turned = _rest(readings)
-        units = {axis: spelt(log.unit(where[axis]) or "") for axis in axes}
-        unit, by = _unit(units, means, readings, guessed)
-        roles = {index: role for role, index in where.items()}
+        readings = record.of([axis if axis in named else axes[axis] for axis in AXES if axis in axes])
+        whole = len(readings) == len(AXES)
+        turned = still_attitudes(readings) if readings else ()
+        means = np.array([mean_of(readings, spans)[0] for spans in turned]).reshape(len(turned), len(readings))
+        unit, by = _unit(
+            [spelt(log.unit(log.names.index(axes[axis])) or "") for axis in axes], means, readings, guessed
+        )
+        roles = {name: role for role, name in {**named, **axes}.items()}
         columns = [
             {
                 "number": number,
                 "name": name,
-                "role": roles.get(number - 1, ""),
-                "unit": stated or (unit if roles.get(number - 1) in AXES else ""),
-                "unit_from": "its header" if stated else by if roles.get(number - 1) in AXES and unit else "",
+                "role": roles.get(name, ""),
+                "unit": stated or (unit if roles.get(name) in AXES else ""),
+                "unit_from": "its header" if stated else by if roles.get(name) in AXES and unit else "",
             }
             for number, name in enumerate(log.names, 1)
             for stated in [spelt(log.unit(number - 1) or "")]
         ]
-        times = record.by_role.get(TIME)
-        rate = None if times is None else _rate(times)
-        kinds = different(means) if len(means) and len(readings) == len(AXES) else means
-        absent = farthest(kinds) if 1 < len(kinds) < ENOUGH and len(readings) == len(AXES) else ""
-        if len(kinds) < 2 and log.rows_read <= FEW and may_be_means(readings):
+        kinds = different(means) if len(means) and whole else means
+        absent = farthest(kinds) if 1 < len(kinds) < ENOUGH and whole else ""
+        of_means = len(kinds) < 2 and log.rows_read <= FEW and may_be_means(readings)
+        if of_means:
             means, turned, kinds = np.stack(readings, axis=1), (), means[:0]
-        lengths = np.linalg.norm(means, axis=1) if len(means) and len(readings) == len(AXES) else np.empty(0)
         return LogFacts(
             log=path,
             layout=_layout(log),
             columns=columns,
             rows=log.rows_read,
             bad_rows=record.faulty,
-            missing=_missing(record, axes),
-            rate=rate,
-            remarks=[*log.clock.remarks, *log.remarks],
-            length=significant(float(np.median(lengths)), 5) if len(lengths) else None,
+            missing=_missing(dict(zip(axes.values(), readings, strict=True)), record.faulty),
+            rate=_rate(record.by_role[TIME]) if TIME in named else None,
+            remarks=[*(log.clock.remarks if TIME in named else ()), *log.remarks],
+            length=significant(float(np.median(np.linalg.norm(means, axis=1))), 5) if len(means) and whole else None,
             attitudes=len(turned),
             different=len(kinds),
             absent=absent,
-            next=_next(path, log, axes, unit, by, readings, len(turned), len(kinds), guessed),
+            next=_next(path, log, axes, unit, by, len(turned), len(kinds), of_means=of_means),
         )
 
 
-def _guess(log: LogReader, path: str) -> Guess | None:
+def _any_column(log: LogReader) -> dict[str, int]:
+    """Return a column by which the rows of a log without readings are counted: as times it may hold text."""
+    return {TIME if log.unit(0) is None else AXES[0]: 0}
+
+
+def _guess(log: CsvReader, record: RecordedColumns) -> Guess:
     """Return what columns without names hold, by the numbers of the first rows."""
-    if not isinstance(log, CsvReader) or log.dialect.has_header:
-        return None
-    places = [k for k, kind in enumerate(log.dialect.kinds) if kind == "number"]
-    with open_log(path, skip_bad_rows=True) as again:
-        first = next(again.rows(places or [0]))
-    columns = [first.values[k][:LOOK] if k in places else np.empty(0) for k in range(len(log.names))]
-    return guess_of_columns(log.dialect, [column[np.isfinite(column)].tolist() for column in columns])
+    first = [record.by_role[name][:LOOK] if name in log.unnamed else np.empty(0) for name in log.names]
+    return guess_of_columns(log.dialect, [column[np.isfinite(column)].tolist() for column in first])
 
 
-def _rest(readings: Sequence[Array]) -> tuple[Array, Sequence[Any]]:
-    """Return the means of the still attitudes of readings, (n, channels), and their rows."""
-    if not readings:
-        return np.empty((0, 0)), ()
-    attitudes = still_attitudes(readings)
-    means = [mean_of(readings, spans)[0] for spans in attitudes]
-    return np.array(means).reshape(len(means), len(readings)), attitudes
-
-
-def _unit(units: Mapping[str, str], means: Array, readings: Sequence[Array], guessed: Guess | None) -> tuple[str, str]:
+def _unit(units: Sequence[str], means: Array, readings: Sequence[Array], guessed: Guess | None) -> tuple[str, str]:
     """Return the unit of the readings, and what shows it."""
-    stated = {*units.values()} - {""}
-    if len(stated) == 1 and "" not in units.values():
-        unit = stated.pop()
-        return (unit, "its header") if unit in READINGS else ("", "")
+    if len({*units}) == 1 and units[0]:
+        return (units[0], "its header") if units[0] in READINGS else ("", "")
     if len(means) and len(readings) == len(AXES) and (unit := unit_of_length(means, readings, alone=True) or ""):
         return unit, "the length of gravity at rest"
     if guessed is not None and guessed.unit:
@@ -180,9 +172,10 @@ def _layout(log: LogReader) -> dict[str, Any]:
     }
 
 
-def _missing(record: RecordedColumns, axes: Mapping[str, str]) -> dict[str, int]:
-    counts = {name: int((~np.isfinite(record.by_role[axis])).sum()) for axis, name in axes.items()}
-    return {name: count - record.faulty for name, count in counts.items() if count > record.faulty}
+def _missing(readings: Mapping[str, Array], faulty: int) -> dict[str, int]:
+    """Return the missing cells of each column but those of rows that cannot be parsed."""
+    counts = {name: int((~np.isfinite(column)).sum()) - faulty for name, column in readings.items()}
+    return {name: count for name, count in counts.items() if count > 0}
 
 
 def _rate(times: Array) -> float | None:
@@ -199,10 +192,10 @@ def _next(
     axes: Mapping[str, str],
     unit: str,
     by: str,
-    readings: Sequence[Array],
     attitudes: int,
     kinds: int,
-    guessed: Guess | None,
+    *,
+    of_means: bool,
 ) -> str:
     """Return the command to type next."""
     file = quote(path)
@@ -213,9 +206,9 @@ def _next(
     columns = "" if meant == axes else f" --columns {','.join(f'{axis}={k}' for axis, k in by_place.items())}"
     shown = by.startswith("its header") or (unit and not columns and kinds > 1)
     stated = "" if shown else f" --unit {unit or 'UNIT'}"
-    if len(readings) < len(AXES):
+    if len(axes) < len(AXES):
         return f"tiltcal apply CAL.yaml {file}{columns} -o TILT.csv"
-    if kinds < 2 and log.rows_read <= FEW and may_be_means(readings):
+    if of_means:
         return f"tiltcal fit free {file} --table{columns}{stated} --serial NAME -o NAME.yaml, if each row is a mean"
     if attitudes < 2:
         return f"tiltcal noise {file}{columns}{stated}"

@@ -64,8 +64,7 @@ class Recordings:
 @contextmanager
 def open_recordings(data: Any, *, skip_bad_rows: bool, progress: Progress | None) -> Iterator[Recordings]:
     """Open a log, or several of one session; ``NAME=FILE`` is a log of one position."""
-    several = isinstance(data, Sequence) and not isinstance(data, str) and all(isinstance(k, str | Path) for k in data)
-    sources = [_named(source) for source in (data if several else [data])]
+    sources = [_named(source) for source in (data if are_paths(data) else [data])]
     names = [name for name, _ in sources]
     if not sources:
         raise UsageError("no log is given")
@@ -78,6 +77,11 @@ def open_recordings(data: Any, *, skip_bad_rows: bool, progress: Progress | None
             for _, source in sources
         ]
         yield Recordings(logs, names)
+
+
+def are_paths(data: Any) -> bool:
+    """Return whether data are several logs by their paths, or none."""
+    return isinstance(data, Sequence) and not isinstance(data, str) and all(isinstance(k, str | Path) for k in data)
 
 
 def _named(source: Any) -> tuple[str | None, Any]:

@@ -11,8 +11,9 @@ attitudes are named by them, and the fit is a linear one.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
-from itertools import combinations, product
+from itertools import chain, combinations, product
 from math import cos, inf, radians, sqrt
 
 import numpy as np
@@ -44,6 +45,8 @@ MULTIPLES = (1.4, 1.7, 2.0, 2.4, 2.8, 3.4, 4.0, 5.0, 6.0, 8.0, 10.0)
 """Thresholds that are tried, in units of the noise of the stillest part."""
 
 NEARLY = 0.15  # rows whose lengths differ by less may all be gravity, and may be means, relative
+
+AT_REST = 10.0  # standard deviations of a sample by which the means of one attitude may differ
 
 SAME_DIRECTION_COSINE = cos(radians(0.5))
 """Still intervals one after the other, with less of a turn between them than this, are one attitude."""
@@ -141,7 +144,7 @@ def find_still(columns: Sequence[Array], judge: Judge = fit_free) -> StaticDetec
     return max(good, key=lambda each: each[:2])[2]
 
 
-def _tried(columns: Sequence[Array], judge: Judge) -> tuple[tuple[StaticDetection, ...], int]:
+def _tried(columns: Sequence[Array], judge: Judge | None) -> tuple[tuple[StaticDetection, ...], int]:
     """Return the detection by each window and threshold, and how many rows are lost to all."""
     lost = lost_rows(columns, stuck_spans(columns))
     changes = np.cumsum(~repeated_rows(columns), dtype=np.int32)
@@ -150,16 +153,20 @@ def _tried(columns: Sequence[Array], judge: Judge) -> tuple[tuple[StaticDetectio
 
 
 def still_attitudes(columns: Sequence[Array]) -> Sequence[Sequence[Span]]:
-    """Return the rows of the still attitudes of readings: those that a fit by gravity takes, else the most."""
-    try:
-        return find_still(columns).intervals
-    except (EstimateError, ValueError, IndexError):
-        tried, _ = _tried(columns, _judges_nothing)
-        return max((choice.intervals for choice in tried), key=len, default=())
+    """Return the rows of the still attitudes of readings: those that a fit by gravity takes, else the most.
 
-
-def _judges_nothing(means: Array, u: Array) -> FreeFit:
-    raise EstimateError("nothing is judged")
+    Means that differ by no more than noise are of one attitude.
+    """
+    found: StaticDetection | None = None
+    if len(columns) == len(AXES):
+        with suppress(EstimateError):
+            found = find_still(columns)
+    found = found or max(_tried(columns, None)[0], key=lambda choice: len(choice.intervals), default=None)
+    if found is None or not found.intervals:
+        return ()
+    means = np.array([mean_of(columns, spans)[0] for spans in found.intervals])
+    at_rest = np.ptp(means, axis=0).max() < AT_REST * found.noise
+    return (tuple(chain(*found.intervals)),) if at_rest else found.intervals
 
 
 def judge_of(positions: Mapping[str, Vector], channels: Sequence[str]) -> Judge | None:
@@ -197,7 +204,7 @@ def judge_of(positions: Mapping[str, Vector], channels: Sequence[str]) -> Judge 
 
 
 def _choices(
-    columns: Sequence[Array], lost: Mask, changes: NDArray[np.int32], window: int, judge: Judge
+    columns: Sequence[Array], lost: Mask, changes: NDArray[np.int32], window: int, judge: Judge | None
 ) -> Iterator[StaticDetection]:
     """Yield the detection by each threshold; ``changes`` counts the rows that do not repeat the one before, (n,)."""
     scatter = window_scatter(columns, lost, window)
@@ -230,8 +237,10 @@ def _attitudes(columns: Sequence[Array], spans: Numbers) -> list[Numbers]:
     return np.split(spans, cuts)
 
 
-def _fit(columns: Sequence[Array], attitudes: Sequence[Sequence[Span]], judge: Judge) -> FreeFit | PositionFit | None:
-    if not attitudes:
+def _fit(
+    columns: Sequence[Array], attitudes: Sequence[Sequence[Span]], judge: Judge | None
+) -> FreeFit | PositionFit | None:
+    if not attitudes or judge is None:
         return None
     means, uncertainties = zip(*(mean_of(columns, spans) for spans in attitudes), strict=True)
     try:
@@ -274,9 +283,11 @@ def _too_few(tried: Sequence[StaticDetection], columns: Sequence[Array], lost: i
 
 def may_be_means(columns: Sequence[Array]) -> bool:
     """Return whether rows of three channels are about as long as each other, and point apart: means of positions."""
+    if len(columns) != len(AXES):
+        return False
     rows = np.stack(columns, axis=1)
     rows = rows[np.isfinite(rows).all(axis=1)]
-    if rows.shape[1] != len(AXES) or len(rows) < UNKNOWNS:
+    if len(rows) < UNKNOWNS:
         return False
     lengths = np.linalg.norm(rows, axis=1)
     near = np.abs(lengths / max(float(np.median(lengths)), 1e-300) - 1.0) < NEARLY
