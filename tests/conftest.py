@@ -1,7 +1,5 @@
 """What holds for every test."""
 
-from __future__ import annotations
-
 import os
 
 # Workers run beside each other, so each one's linear algebra keeps to one thread; it must be said before numpy loads.

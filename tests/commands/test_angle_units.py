@@ -1,7 +1,5 @@
 """Devices that print angles or slopes: exact for a zero, a scale and a turn, whatever unit and convention they have."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import subprocess

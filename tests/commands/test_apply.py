@@ -1,7 +1,5 @@
 """``tiltcal apply`` from the command line to the last byte of its output."""
 
-from __future__ import annotations
-
 import csv
 import json
 from math import asin, cos, degrees, hypot, isnan, radians

@@ -1,7 +1,5 @@
 """``tiltcal apply --magnetometer --velocity``: columns, notes, refusals; the numbers are in the unit tests."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

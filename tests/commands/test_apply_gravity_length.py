@@ -1,7 +1,5 @@
 """The length of gravity in every row of three axes, the sign of two axes on edge, and calibrations in doubt."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

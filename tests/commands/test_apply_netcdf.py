@@ -1,7 +1,5 @@
 """``tiltcal apply`` on NetCDF: the file stays as it is, and what is added says what it is."""
 
-from __future__ import annotations
-
 import os
 import sys
 from math import nan

@@ -1,7 +1,5 @@
 """``tiltcal apply`` on Parquet: the columns keep their types, and the result is what it is for CSV."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 from datetime import UTC, date, datetime, timedelta

@@ -1,7 +1,5 @@
 """``tiltcal apply`` to several logs: one after another, or on the workers of a cluster."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

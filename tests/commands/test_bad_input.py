@@ -1,7 +1,5 @@
 """Bad input: a clear error with file, line and key, exit code 2, and nothing written."""
 
-from __future__ import annotations
-
 import io
 import subprocess
 from pathlib import Path

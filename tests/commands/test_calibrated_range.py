@@ -1,7 +1,5 @@
 """Where a calibration holds: rows inside of what was met are good, and rows 10° outside are suspect, by hand or not."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """``tiltcal check`` names what is wrong in the records of a file, and never falls over them."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What a shell offers behind a command, by the protocols that click has for bash, zsh and fish."""
 
-from __future__ import annotations
-
 import shlex
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """The defaults of a ``tiltcal.toml``: who reads them, what they say of themselves, and where they stand."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

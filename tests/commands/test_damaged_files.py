@@ -1,7 +1,5 @@
 """Damaged files of every kind: an error that names them, or the library's own end; never a half-written output."""
 
-from __future__ import annotations
-
 import io
 import shutil
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """``tiltcal export``: each target computes what ``apply`` does, within the bound that it states."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

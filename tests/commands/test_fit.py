@@ -1,7 +1,5 @@
 """``tiltcal fit`` and ``apply`` on the recorded six-face session (imucal's, MIT; see data/README.md)."""
 
-from __future__ import annotations
-
 import csv
 from pathlib import Path
 

@@ -3,8 +3,6 @@
 Published values are those of the recordings' own projects, imu_tk and imu-calib.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import acos, degrees, hypot

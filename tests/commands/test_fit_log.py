@@ -1,7 +1,5 @@
 """``tiltcal fit`` of a recorded log by its segments: times, coarse readings, stuck channels, temperatures, remarks."""
 
-from __future__ import annotations
-
 import subprocess
 from collections.abc import Mapping
 from math import cos, radians, sin, sqrt

@@ -1,7 +1,5 @@
 """Logs as phones and loggers write them: the columns and the unit are in the header, and ``apply`` finds them again."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

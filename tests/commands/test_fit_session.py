@@ -1,7 +1,5 @@
 """``fit`` of what people have: signs turned, a tapped or stuck hold, several logs, means without names."""
 
-from __future__ import annotations
-
 import re
 from itertools import pairwise
 from pathlib import Path

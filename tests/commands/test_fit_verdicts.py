@@ -1,7 +1,5 @@
 """What a fit says of positions, noise and channels: one cause, one message, and nothing that is not so."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

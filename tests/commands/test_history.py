@@ -1,7 +1,5 @@
 """``tiltcal history`` and the page of a folder: dates, changes, what is due, and outliers of the fleet."""
 
-from __future__ import annotations
-
 import json
 import re
 from datetime import datetime, timedelta

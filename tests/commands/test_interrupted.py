@@ -1,7 +1,5 @@
 """Ctrl-C, a full disk and a reader that is gone, whenever they come: an exit code and a message, never a traceback."""
 
-from __future__ import annotations
-
 import io
 import os
 import signal

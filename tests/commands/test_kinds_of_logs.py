@@ -1,7 +1,5 @@
 """Whatever wrote the log: every kind is calibrated within 1 mg, and ``apply`` writes a row for each reading."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """``tiltcal live``: the calibrated tilt of a sensor as it is now."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

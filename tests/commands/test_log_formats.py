@@ -1,7 +1,5 @@
 """Every command that reads a log reads it in every format, and finds the same."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """``tiltcal match`` and ``tiltcal apply`` with a pair file, from the command line."""
 
-from __future__ import annotations
-
 import csv
 import fcntl
 import hashlib

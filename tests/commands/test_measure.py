@@ -1,7 +1,5 @@
 """``tiltcal measure`` prints what it found: coefficients on standard output, talk on standard error, nothing twice."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Names that no file can have, pipes, links, and outputs that would replace an input."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

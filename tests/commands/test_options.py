@@ -1,7 +1,5 @@
 """The options of a command reach the library under the library's own names."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from inspect import signature

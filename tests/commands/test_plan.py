@@ -1,7 +1,5 @@
 """``tiltcal plan``: what a procedure will determine, before anyone starts."""
 
-from __future__ import annotations
-
 import json
 from math import cos, degrees, hypot, radians, sin, sqrt
 from pathlib import Path

@@ -1,7 +1,5 @@
 """``tiltcal record``: every row that was written is kept."""
 
-from __future__ import annotations
-
 import csv
 import json
 import re

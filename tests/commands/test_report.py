@@ -1,7 +1,5 @@
 """``tiltcal report``: the page that it writes, and what it refuses."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """The part of a report about a log: what `apply` says of it, whichever way it comes in, and never too much ink."""
 
-from __future__ import annotations
-
 import json
 import re
 from math import sin

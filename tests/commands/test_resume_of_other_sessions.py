@@ -1,7 +1,5 @@
 """Journals of ``measure`` and ``verify`` are told apart; a command that cannot go on with one leaves it as it is."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Numbers, dates, files and variables that no bench has: exit code 2 and what is wrong, never a traceback or a wait."""
 
-from __future__ import annotations
-
 import os
 import platform
 import re

@@ -1,7 +1,5 @@
 """``tiltcal verify`` judges by positions that were not fitted; ``tiltcal diff`` compares two dated calibrations."""
 
-from __future__ import annotations
-
 import json
 from math import cos, radians
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Every driver against the bytes and figures of ``data_sheets.yaml``, through its public interface."""
 
-from __future__ import annotations
-
 from functools import reduce
 from math import radians
 from operator import xor

@@ -3,8 +3,6 @@
 A package of a third party can run it over a model of its own: the example package is one of the devices here.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from math import hypot

@@ -1,7 +1,5 @@
 """Our virtual parts answer public programs that nobody packages: their frames and arithmetic give the truth."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -5,8 +5,6 @@ with a file name behind its language is a file that the commands after it find. 
 page's one Python session. A ``text`` block is only read.
 """
 
-from __future__ import annotations
-
 import doctest
 import os
 import re

@@ -1,7 +1,5 @@
 """Every example runs as it stands and prints what it promises."""
 
-from __future__ import annotations
-
 import os
 import re
 import shutil

@@ -1,7 +1,5 @@
 """What `pip install tiltcal` brings is enough: the wheel is complete, and a session loads nothing of an extra."""
 
-from __future__ import annotations
-
 import re
 import shutil
 import subprocess

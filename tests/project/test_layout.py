@@ -1,7 +1,5 @@
 """A newcomer finds the tests of a module by its name."""
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 from pathlib import Path

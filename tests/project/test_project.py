@@ -1,7 +1,5 @@
 """The house keeps its rules: packaging, start-up, help, errors, text."""
 
-from __future__ import annotations
-
 import re
 import runpy
 import shutil

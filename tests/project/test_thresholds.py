@@ -1,7 +1,5 @@
 """Every number that decides something stands a second time in ``thresholds.yaml``: a changed one is a decision."""
 
-from __future__ import annotations
-
 import ast
 from collections import defaultdict
 from pathlib import Path

@@ -3,8 +3,6 @@
 One suite runs over both buses: what a driver asks of a link holds on each.
 """
 
-from __future__ import annotations
-
 import errno
 import sys
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The capture benchmark in short: nothing is lost at full speed. How much of a core it takes, the benchmark says."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

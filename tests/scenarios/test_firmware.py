@@ -3,8 +3,6 @@
 1 mg is 0.125 ‰ of the period, which is 2 cycles of 16 MHz at T2 = 1 ms.
 """
 
-from __future__ import annotations
-
 from math import sqrt
 from pathlib import Path
 

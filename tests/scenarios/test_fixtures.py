@@ -1,7 +1,5 @@
 """Every captured session gives its golden calibration file, and its golden file finds the twin's truth."""
 
-from __future__ import annotations
-
 import csv
 import json
 import os

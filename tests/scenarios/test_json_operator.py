@@ -1,7 +1,5 @@
 """A program leads the session over JSON Lines (the contract of SPEC section 11)."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A sensor that was plugged in again: its level measured live, resumed, replayed, and fitted from a log."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The same calibration from the command line and from Python, and from every kind of data."""
 
-from __future__ import annotations
-
 import shutil
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Tables and chambers that move by themselves: a night without a person, faults, and what is left to a person."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -5,8 +5,6 @@ Temperature coefficients of +10 and -2 mV/°C, a protractor good to ±0.3° (95 
 ±70°.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """An ADXL202 that was written apart from the drivers, on a pseudo-terminal, led through ``mavs`` by a program."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path

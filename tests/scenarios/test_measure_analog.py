@@ -1,7 +1,5 @@
 """Analog sensors through whole procedures on the virtual bench."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

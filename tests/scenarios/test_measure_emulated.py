@@ -4,8 +4,6 @@ The bounds are those of a bench with a 0.01° jig. Of an SCA100T with 0.6 count 
 sensitivities within 0.9 count/g of the part's truth; of an SCA3000 with 1.5 count of noise 0.9 of both.
 """
 
-from __future__ import annotations
-
 import errno
 import signal
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """Devices that print numbers: few digits, or an offset and a sensitivity that nobody states."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from math import sqrt
 from pathlib import Path

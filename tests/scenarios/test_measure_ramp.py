@@ -1,7 +1,5 @@
 """``tiltcal measure ramp``: a continuous record at the virtual bench, whose sensing element is late."""
 
-from __future__ import annotations
-
 from itertools import count
 from pathlib import Path
 from typing import Any

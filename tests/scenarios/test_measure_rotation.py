@@ -1,7 +1,5 @@
 """`tiltcal measure rotation` as a laboratory runs it: a real serial line, a program that leads, and what goes wrong."""
 
-from __future__ import annotations
-
 import random
 import signal
 import subprocess

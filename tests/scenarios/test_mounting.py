@@ -1,7 +1,5 @@
 """``tiltcal measure mounting`` and Wahba's problem beneath it."""
 
-from __future__ import annotations
-
 from math import radians
 from pathlib import Path
 

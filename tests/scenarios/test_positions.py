@@ -1,7 +1,5 @@
 """Positions on the virtual bench: what is refused, waited for and told, and no wrong number without a word."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Callable

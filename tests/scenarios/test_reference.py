@@ -1,7 +1,5 @@
 """A reference instrument on the plate: nobody states an angle, and what it cannot say is refused."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Settings that do not go together are refused before anyone starts, with the reason."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

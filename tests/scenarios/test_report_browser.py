@@ -1,7 +1,5 @@
 """The page in Chromium: nothing to complain of, nothing to fetch, and paper in A4."""
 
-from __future__ import annotations
-
 import re
 from base64 import b64decode
 from collections.abc import Iterator

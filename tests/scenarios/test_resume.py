@@ -1,7 +1,5 @@
 """A session that is killed or cut at any point keeps what was accepted, and ends, resumed, in the same calibration."""
 
-from __future__ import annotations
-
 import random
 import re
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """A board of sensors, one thermometer, one journal."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

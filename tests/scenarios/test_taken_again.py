@@ -1,7 +1,5 @@
 """Positions that are taken again: named by the operator, or refused where they contradict the others at the end."""
 
-from __future__ import annotations
-
 import json
 import re
 import sys

@@ -1,7 +1,5 @@
 """A person at a real terminal (a pty): prompts, live reading, keys."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pexpect

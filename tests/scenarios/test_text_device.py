@@ -1,7 +1,5 @@
 """Devices that are known by their manual alone: what is sent, what is a reading, and what is none."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Mapping
 from functools import partial, reduce
 from itertools import cycle

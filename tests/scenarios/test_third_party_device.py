@@ -1,7 +1,5 @@
 """A third party adds a sensor model by an entry point: a driver of its own, or a row of facts, and a bus of its own."""
 
-from __future__ import annotations
-
 import os
 import re
 import shutil

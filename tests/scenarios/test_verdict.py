@@ -3,8 +3,6 @@
 Sensors and jigs are simulated here: gravity is turned by a small vector, readings are written out.
 """
 
-from __future__ import annotations
-
 from math import cos, degrees, radians, sin, sqrt
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A person at a page in a browser: what the page gets and sends, and what nobody else can send."""
 
-from __future__ import annotations
-
 import json
 import os
 import select

@@ -1,7 +1,5 @@
 """The operator's page in Chromium: led by keys, by touch and with free hands, reloaded, killed, on a phone."""
 
-from __future__ import annotations
-
 import json
 import sys
 from pathlib import Path

@@ -5,8 +5,6 @@ drift of each offset and Gaussian noise; a period that is off nominal and drifts
 the sentence with its sequence number and checksum; on request, damage to one sentence in so many.
 """
 
-from __future__ import annotations
-
 import random
 from collections.abc import Sequence
 from contextlib import AbstractContextManager

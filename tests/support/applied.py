@@ -1,7 +1,5 @@
 """The command ``apply`` on a two-axis sensor of 2 V/g: its result, its rows, and how it refuses."""
 
-from __future__ import annotations
-
 import csv
 from math import nan
 

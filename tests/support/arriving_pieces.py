@@ -1,7 +1,5 @@
 """A serial line on which given pieces arrive."""
 
-from __future__ import annotations
-
 from tiltcal.errors import BusError
 
 

@@ -1,7 +1,5 @@
 """Noise of known kind and strength, made without anything of tiltcal's."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

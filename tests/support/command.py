@@ -1,7 +1,5 @@
 """The tiltcal command: called in this process, or started as a user starts it."""
 
-from __future__ import annotations
-
 import io
 import os
 import subprocess

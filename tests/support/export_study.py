@@ -1,7 +1,5 @@
 """Random calibrations, and what a header of theirs computes."""
 
-from __future__ import annotations
-
 import subprocess
 from collections.abc import Sequence
 from dataclasses import replace

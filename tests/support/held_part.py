@@ -5,8 +5,6 @@ under the system's Python and need the standard library only. A test makes one f
 makes another behind the emulated node.
 """
 
-from __future__ import annotations
-
 import random
 from dataclasses import dataclass
 from math import radians

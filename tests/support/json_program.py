@@ -4,8 +4,6 @@ The session's standard output is an object that answers as soon as a line is com
 test and nothing waits.
 """
 
-from __future__ import annotations
-
 import io
 import json
 import os

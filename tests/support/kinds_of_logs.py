@@ -1,7 +1,5 @@
 """Logs as loggers, phones and sketches write them, of one sensor whose truth is known; the layouts are public."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Iterator, Sequence
 from datetime import UTC, datetime, timedelta

@@ -1,7 +1,5 @@
 """Types of the library, which mypy checks as a user of ``mypy --strict`` would; nothing runs it."""
 
-from __future__ import annotations
-
 from typing import Any, assert_type
 
 import polars

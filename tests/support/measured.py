@@ -1,7 +1,5 @@
 """Means of simulated sensors in the positions of a procedure."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 
 import numpy as np

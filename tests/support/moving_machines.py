@@ -3,8 +3,6 @@
 They know nothing of the code that drives them: each answers lines, and keeps the truth beside what it tells.
 """
 
-from __future__ import annotations
-
 import asyncio
 import re
 import socket

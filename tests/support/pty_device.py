@@ -1,7 +1,5 @@
 """A device that prints on a pseudo-terminal, in a thread of the test."""
 
-from __future__ import annotations
-
 import os
 import select
 import threading

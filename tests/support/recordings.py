@@ -1,7 +1,5 @@
 """Recordings of real sensors by others, as files; `tests/data/recordings` says where they come from."""
 
-from __future__ import annotations
-
 import atexit
 import lzma
 import shutil

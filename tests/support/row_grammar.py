@@ -3,8 +3,6 @@
 Slow and independent of the readers of tiltcal, which tests compare with it. Quotes must stand at the ends of fields.
 """
 
-from __future__ import annotations
-
 import re
 from math import inf, nan
 

@@ -8,8 +8,6 @@ and clipping; a thermometer by the datasheet's line; a jig that misses each posi
 Not modelled: self-test, nonlinearity, bandwidth, start-up, the parity fault by itself (set ``broken`` for it).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from support.held_part import Held, Row

@@ -9,8 +9,6 @@ rotation. On I2C a register pointer that the first written byte sets.
 Not modelled: the ring buffer, motion detection, interrupts, drift with temperature. A write does nothing.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from support.held_part import Held, Row

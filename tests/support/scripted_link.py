@@ -1,7 +1,5 @@
 """A bus that expects these transactions in this order, and notes when each of them came."""
 
-from __future__ import annotations
-
 from tiltcal.drivers.bus.clock import VirtualClock
 from tiltcal.errors import BusError
 

@@ -3,8 +3,6 @@
 It knows nothing of the estimator's own model code: gravity is turned by scipy's rotations, a reading is written out.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """A turning stage for tests: the lines that it prints, played to the runner on a clock that nobody waits for."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory

@@ -1,7 +1,5 @@
 """The errors of an angle: those of the coefficients, of a reading and its temperature, of how the sensor sits."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A virtual part with its driver, on a line that a test may disturb."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any

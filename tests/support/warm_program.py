@@ -5,8 +5,6 @@
 It hands on its standard streams, folder, environment and signals, and ends as that process ends.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import signal

@@ -5,8 +5,6 @@ standard streams, a folder and an environment of its own, that a signal ends as 
 module is the server.
 """
 
-from __future__ import annotations
-
 import gc
 import json
 import os

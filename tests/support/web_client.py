@@ -1,7 +1,5 @@
 """A browser's side of the operator's page without a browser: the state that it gets, and the answers that it sends."""
 
-from __future__ import annotations
-
 import json
 import threading
 from collections.abc import Callable, Iterator, Mapping

@@ -1,7 +1,5 @@
 """Finding a sensor model: built in, added by a third party, or not there."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Options that are declared once."""
 
-from __future__ import annotations
-
 import inspect
 from typing import get_overloads, get_type_hints
 

@@ -1,7 +1,5 @@
 """What the command line refuses as an option, the library refuses as an argument, with the same error."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from math import inf, nan
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The names of the library, and what importing it costs."""
 
-from __future__ import annotations
-
 import inspect
 import io
 import os

@@ -10,8 +10,6 @@ The program uses the real bus library (python-spidev, smbus2) on a real device n
 that was written apart from the drivers: see :mod:`support.held_part`.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

@@ -14,8 +14,6 @@ order, answered by one line once it is in force::
     {"kill": signal}           to the program under test
 """
 
-from __future__ import annotations
-
 import json
 import os
 import socket

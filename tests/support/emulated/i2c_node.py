@@ -4,8 +4,6 @@ It runs under the system's Python with umockdev's bindings. Of the ioctls smbus2
 functions there are, and messages under one stop condition.
 """
 
-from __future__ import annotations
-
 import errno
 import struct
 import time

@@ -5,8 +5,6 @@
 Commands: ``probe``, ``read COUNT``, ``exchange TIMES BYTES`` (in hexadecimal), ``reopen``.
 """
 
-from __future__ import annotations
-
 import json
 import sys
 import time

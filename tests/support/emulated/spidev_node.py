@@ -3,8 +3,6 @@
 It runs under the system's Python with umockdev's bindings.
 """
 
-from __future__ import annotations
-
 import errno
 import struct
 import time

@@ -1,7 +1,5 @@
 """What guides an operator: the angle to set and the present one, by the data sheet and the positions before."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from math import asin, cos, degrees, radians, sin
 

@@ -1,7 +1,5 @@
 """What a program or a person types line by line, and what the virtual jig says."""
 
-from __future__ import annotations
-
 import io
 import os
 

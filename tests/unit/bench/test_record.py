@@ -1,7 +1,5 @@
 """A log that only grows: its rows are whole and counted, whenever Ctrl-C comes."""
 
-from __future__ import annotations
-
 import os
 from datetime import UTC, datetime
 from pathlib import Path

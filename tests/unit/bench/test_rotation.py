@@ -1,7 +1,5 @@
 """A rotation at the bench: what is used, what is held, when it ends, and what the operator hears of it."""
 
-from __future__ import annotations
-
 from itertools import chain
 from pathlib import Path
 

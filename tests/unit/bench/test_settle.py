@@ -1,7 +1,5 @@
 """A sensor comes to rest, or it does not: drifts of known rate, with noise from a generator of its own."""
 
-from __future__ import annotations
-
 from typing import Any, cast
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What a person at a terminal is shown and may type."""
 
-from __future__ import annotations
-
 import io
 import os
 import pty

@@ -1,7 +1,5 @@
 """Free hands: what the page's operator takes by itself, and what a person has to answer."""
 
-from __future__ import annotations
-
 import json
 from math import cos, radians, sin
 from typing import Any

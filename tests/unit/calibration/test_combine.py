@@ -1,7 +1,5 @@
 """Calibrations from several sessions: against one joint session, the weighted mean by hand, and by simulation."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from math import hypot, sqrt

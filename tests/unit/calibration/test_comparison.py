@@ -1,7 +1,5 @@
 """Whether two calibrations differ, over benches that are simulated here, by hand."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The offset that a level position renews: its value, its covariance, and what the angles are uncertain by after it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from math import inf, radians, sqrt
 

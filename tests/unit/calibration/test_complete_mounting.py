@@ -1,7 +1,5 @@
 """The mounting of a calibrated sensor, against readings that are worked out by hand."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from math import radians, sin, sqrt
 

@@ -1,7 +1,5 @@
 """What follows from the estimate of set positions has the coverage factor of its terms."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Free positions are judged by their expanded uncertainty; readings are simulated here, by hand."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

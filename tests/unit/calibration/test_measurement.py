@@ -1,7 +1,5 @@
 """Sensors that a procedure does not suit, and channels that are not what they are called, simulated by hand."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A mounting that the user states: what the compensation makes of it, and what stays of the file."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from support import FIXTURES

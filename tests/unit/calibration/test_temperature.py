@@ -1,7 +1,5 @@
 """The temperature sweep chooses its order. Readings are made here, by hand."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The decision rule of a verification (ISO 14253-1), over parts that are simulated here, by hand."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -4,8 +4,6 @@ Differences and draws see the compensation from outside alone: they change coeff
 out.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from math import asin, cos, degrees, pi, radians, sqrt

@@ -1,7 +1,5 @@
 """How a sensor sits on the board and in its application: against the document's nine terms, numpy and scipy."""
 
-from __future__ import annotations
-
 from itertools import permutations, product
 from math import cos, degrees, pi, radians, sin
 

@@ -1,7 +1,5 @@
 """The formulas of the source documents, on examples worked by hand."""
 
-from __future__ import annotations
-
 from math import degrees, isnan, pi, radians, sin
 
 import numpy as np

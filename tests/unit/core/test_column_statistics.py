@@ -1,7 +1,5 @@
 """What a log comes to, block by block, is what all its rows at once come to."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np

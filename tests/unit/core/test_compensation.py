@@ -1,7 +1,5 @@
 """The compensation kernel against a calculation written separately, row by row."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from math import acos, asin, atan2, cos, degrees, hypot, inf, isfinite, nan, pi, radians, sin, sqrt
 

@@ -1,7 +1,5 @@
 """What follows from the sensitivity matrix: against formulas by hand."""
 
-from __future__ import annotations
-
 from math import degrees, radians, sqrt
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Still, moved and stuck, against numpy, scipy and counts by hand."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import scipy

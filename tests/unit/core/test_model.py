@@ -1,7 +1,5 @@
 """Coefficients by their names, and at another reference temperature."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

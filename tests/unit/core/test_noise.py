@@ -1,7 +1,5 @@
 """The noise of readings at rest, against other programs, published values and noise of known kind."""
 
-from __future__ import annotations
-
 from math import log, pi, sqrt
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A wrong position is caught before it counts."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Numbers are written with the digits that their uncertainty warrants."""
 
-from __future__ import annotations
-
 from math import copysign, floor, inf, log10, nan
 
 import pytest

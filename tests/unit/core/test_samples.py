@@ -1,7 +1,5 @@
 """Mean, noise and uncertainty of a run of samples."""
 
-from __future__ import annotations
-
 import statistics
 from math import sqrt
 

@@ -1,7 +1,5 @@
 """The filter from the thermometer to the sensing element, against the differential equation."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np

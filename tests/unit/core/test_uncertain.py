@@ -1,7 +1,5 @@
 """Uncertain quantities: against the examples of the GUM and calculations by hand."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import scipy

@@ -1,7 +1,5 @@
 """Devices that send on their own: sentences, lines of numbers and edges, whole or damaged."""
 
-from __future__ import annotations
-
 from functools import reduce
 from operator import xor
 

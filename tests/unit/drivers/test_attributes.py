@@ -1,7 +1,5 @@
 """``python:`` and ``iio:`` read what they name, say what fails, and a replay needs neither."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

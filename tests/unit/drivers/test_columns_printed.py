@@ -1,7 +1,5 @@
 """Lines as sketches print them: what is read, what is guessed, and what a session on such a port says."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from itertools import count, cycle
 

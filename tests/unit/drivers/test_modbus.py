@@ -3,8 +3,6 @@
 A server of TCP moves the table of ``test_machines``.
 """
 
-from __future__ import annotations
-
 import os
 import threading
 import time

@@ -1,7 +1,5 @@
 """The SCA100T family: the self-test, what the probe says, and the tolerances of virtual parts."""
 
-from __future__ import annotations
-
 import pytest
 from support.scripted_link import Script
 

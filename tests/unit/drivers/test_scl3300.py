@@ -1,7 +1,5 @@
 """The SCL3300 where it differs from other parts: its frames, banks, serial number, and resets within a sample."""
 
-from __future__ import annotations
-
 import pytest
 from support.virtual_device import VirtualDevice
 

@@ -1,7 +1,5 @@
 """The virtual stage of four accelerometers against its source, and the virtual jig and chamber."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from math import cos, hypot, radians, sin
 from statistics import fmean, stdev

@@ -1,7 +1,5 @@
 """A file appears whole or not at all, and a place that takes none is told before anything is measured."""
 
-from __future__ import annotations
-
 import errno
 import os
 import signal

@@ -1,7 +1,5 @@
 """The calibration file of SPEC 9: what is read, checked and written."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from math import radians
 

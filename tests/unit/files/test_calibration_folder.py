@@ -1,7 +1,5 @@
 """The calibration files in a folder, by serial number and date."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """A file of ours is YAML 1.2, and whatever is wrong in it is told with file, line and key."""
 
-from __future__ import annotations
-
 import math
 import os
 from collections.abc import Mapping

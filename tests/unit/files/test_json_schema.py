@@ -1,7 +1,5 @@
 """The JSON Schemas that editors use say what the readers say: a good file passes both, a bad one neither."""
 
-from __future__ import annotations
-
 import re
 from contextlib import suppress
 from pathlib import Path

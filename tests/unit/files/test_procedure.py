@@ -1,7 +1,5 @@
 """Procedures are data (SPEC 6): the shipped ones, and a user's own."""
 
-from __future__ import annotations
-
 import json
 from math import cos, radians
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Small tables in CSV and JSON: positions with means worked out elsewhere, and segments of a log (SPEC 11, ``fit``)."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """The twin file says what a virtual sensor really is."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

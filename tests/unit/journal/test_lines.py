@@ -1,7 +1,5 @@
 """The journal survives any truncation, and shows any change."""
 
-from __future__ import annotations
-
 import errno
 import json
 import os

@@ -1,7 +1,5 @@
 """Journals whose checks fit and whose content no session writes: each is refused in our words, none is a traceback."""
 
-from __future__ import annotations
-
 import json
 import zlib
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """What a program holds of a calibration file."""
 
-from __future__ import annotations
-
 import pickle
 import re
 from collections.abc import Callable

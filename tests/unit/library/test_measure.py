@@ -1,7 +1,5 @@
 """Measuring from Python: a rig needs no pipe, a reading passes few frames, and nothing of pairs is loaded for tilt."""
 
-from __future__ import annotations
-
 import resource
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """What the tests of several modules start from."""
 
-from __future__ import annotations
-
 import pytest
 from support import FIXTURES
 

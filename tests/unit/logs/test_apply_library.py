@@ -1,7 +1,5 @@
 """A folder of calibrations applied to a log: which calibration a row takes, and what is uncertain about it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A calibration with a thermal lag, applied to logs."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Times in the units of CF, in the spellings of UDUNITS."""
 
-from __future__ import annotations
-
 from datetime import UTC, datetime
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Columns of a log as arrays, in memory and beyond it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Fits that take the sensitivity of a user's own sensor from its calibration; readings are simulated here, by hand."""
 
-from __future__ import annotations
-
 from datetime import time
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """``fit ramp``: from a log to a calibration, and back by ``apply``."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp

@@ -1,7 +1,5 @@
 """Frames of every kind: results are those of the command, to the last bit; what cells may hold, and what is refused."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from collections.abc import Callable

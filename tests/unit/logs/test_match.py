@@ -1,7 +1,5 @@
 """Matching a pair by a whole record: p and q, their uncertainty, and what cannot be matched."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from math import hypot

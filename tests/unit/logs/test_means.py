@@ -1,7 +1,5 @@
 """Means of rows: what belongs into one, what is left out, and that their stated uncertainty holds."""
 
-from __future__ import annotations
-
 from datetime import UTC, datetime
 from math import hypot, nan, radians
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A log of a sensor at rest as evenly spaced samples."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

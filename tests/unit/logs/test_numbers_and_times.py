@@ -1,7 +1,5 @@
 """The times of a log: how they may be written, and that what is none of these is refused where it decides something."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from datetime import UTC, date, datetime, time
 from io import BytesIO

@@ -1,7 +1,5 @@
 """The rise of a temperature in an interval of a log, and what is left of holds."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

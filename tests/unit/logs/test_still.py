@@ -1,7 +1,5 @@
 """Finding when a sensor was held still, on logs whose still rows are known because they were made so."""
 
-from __future__ import annotations
-
 from math import inf
 
 import numpy as np

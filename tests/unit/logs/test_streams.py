@@ -1,7 +1,5 @@
 """A thread that reads ahead keeps the order, the errors and nothing else; a result goes to the disk piece by piece."""
 
-from __future__ import annotations
-
 import os
 import signal
 import sys

@@ -1,7 +1,5 @@
 """Numbers on the page, against those that the guides print."""
 
-from __future__ import annotations
-
 import re
 
 from tiltcal.report.numbers import aligned, at_place, grouped, half_width, measured, plain

@@ -1,7 +1,5 @@
 """The page of a tilt calibration says what its file says, and is a page that anyone can read, print and keep."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from decimal import Decimal

@@ -1,7 +1,5 @@
 """The estimator against published results, the documents' closed forms, and scipy's own optimiser."""
 
-from __future__ import annotations
-
 import csv
 from dataclasses import replace
 from math import cos, radians, sin

@@ -3,8 +3,6 @@
 Gravity is turned by scipy's rotations, correlated noise is filtered by scipy, readings are written out.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from math import cos, radians, sqrt

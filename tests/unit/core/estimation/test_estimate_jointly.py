@@ -1,7 +1,5 @@
 """All sensors of a fixture at once: what they share makes each of them better known."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The fit of a three-axis sensor at rest from the length of gravity alone, with the attitudes eliminated."""
 
-from __future__ import annotations
-
 from math import inf
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What is said of an uncertainty is true: against formulas by hand, and against many simulated benches."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from math import cos, radians, sin, sqrt
 

@@ -1,7 +1,5 @@
 """Matching a pair online: how fast, how well, and what happens where the stream is not what it should be."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The angle of a stage, followed from row to row, and estimated where there is no encoder."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The drift and the lag of a ramp, on records that the differential equation makes."""
 
-from __future__ import annotations
-
 from math import sqrt
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The rows of a ramp that count: temperatures that a thermometer did not convert do not."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Addresses: every form of the specification is understood, and every slip is named."""
 
-from __future__ import annotations
-
 from contextlib import suppress
 
 import pytest

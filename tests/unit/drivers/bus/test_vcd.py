@@ -1,7 +1,5 @@
 """Logic analyser captures: files of sigrok-cli, of pyvcd's writer and by hand, read to the right duty cycle."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

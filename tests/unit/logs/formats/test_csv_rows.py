@@ -1,7 +1,5 @@
 """What a row of a CSV log is, how a log is written, and what is said of what is none."""
 
-from __future__ import annotations
-
 import csv
 import io
 import random

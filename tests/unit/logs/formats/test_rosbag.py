@@ -1,7 +1,5 @@
 """Bags of ROS, written by the package ``rosbags``: fitted, applied, characterised; what is wrong is named."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
