@@ -22,7 +22,7 @@ GROUPS = {
     "Commands of the bench": {
         "devices": "list the sensor models, or show one",
         "procedures": "list the procedures, or show one",
-        "probe": "test the connection of a sensor",
+        "probe": "say what is in a log, or test the connection of a sensor",
         "plan": "predict the uncertainty that a procedure gives",
         "measure": "measure the positions of a procedure and write the calibration file",
         "verify": "compare a calibration with positions that it was not fitted to",
@@ -55,7 +55,7 @@ _WAYS = """\
 Begin with
   a sensor on a port   tiltcal probe --address serial:///dev/ttyUSB0
   a recorded log       tiltcal probe LOG.csv
-  none of both         tiltcal demo demo
+  neither              tiltcal demo demo
 """
 
 
