@@ -13,11 +13,6 @@ VIRTUAL_START = datetime(2000, 1, 1, tzinfo=UTC)
 class Clock(Protocol):
     """The interface of a clock: nanoseconds since the session began."""
 
-    @property
-    def real(self) -> bool:
-        """Whether waiting takes real time."""
-        ...
-
     def now_ns(self) -> int:
         """Return the time since the session began, in nanoseconds."""
         ...
@@ -39,8 +34,6 @@ def session_clock(started: datetime, *, virtual: bool) -> Clock:
 class SystemClock:
     """The machine's clock; a resumed session passes the start of the first run, ns since 1970, to show the pause."""
 
-    real = True
-
     def __init__(self, started_ns: int) -> None:
         self._since_start = time.time_ns() - started_ns
         self._monotonic = time.monotonic_ns()
@@ -58,8 +51,6 @@ class SystemClock:
 
 class VirtualClock:
     """A clock that moves only in ``sleep``: a night in the chamber takes no real time."""
-
-    real = False
 
     def __init__(self) -> None:
         self._now_ns = 0

@@ -239,8 +239,6 @@ class Recorder:
     Without a writer nothing is recorded.
     """
 
-    real = False
-
     def __init__(self, clock: Clock, writer: JournalWriter | None = None, now_ns: int = 0) -> None:
         self._clock = clock
         self._writer = writer
