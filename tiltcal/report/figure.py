@@ -92,7 +92,7 @@ def save(plot: Plot, stream: BinaryIO, width: float, height: float, salt: str = 
         plot(figure)
         for axis in figure.findobj(lambda part: isinstance(part, Axis) and part.get_scale() == "log"):
             axis.set_major_formatter(lambda x, _: f"10{f'{log10(x):.0f}'.translate(SUPERSCRIPT)}")  # type: ignore[attr-defined]
-            axis.set_minor_formatter(LogFormatter(minor_thresholds=(1.0, 0.4)))  # type: ignore[attr-defined]
+            axis.set_minor_formatter(LogFormatter())  # type: ignore[attr-defined]
         # Figure.savefig draws a figure with a layout twice, the first time for the layout alone.
         FigureCanvasSVG(figure).print_svg(stream, metadata={"Date": None, "Creator": "tiltcal"})  # type: ignore[no-untyped-call]
 
