@@ -8,8 +8,8 @@
 
 A place is drawn first and then one of the changes that cosmic-ray has for it, so that no place counts more because more
 can be done there. Each change runs in a copy, against the tests that reach its line (outside of functions: its module,
-and the table of thresholds), the quickest first and as many as take 40 seconds, and stops at the first failure. A test
-that fails without the change too is left out. What survives is printed. Processes that a test starts are not followed.
+and the tests that hold tables), the quickest first and as many as take 40 seconds, and stops at the first failure. What
+fails without the change too is left out, and what survives is printed. Processes that a test starts are not followed.
 """
 
 from __future__ import annotations
@@ -54,8 +54,9 @@ LOADED = (
     "scipy.signal",
     "yaml",
 )
-TABLE = "tests/project/test_thresholds.py"
-"""It reads the constants of the product, and no coverage shows it."""
+TABLES = ("tests/project/test_thresholds.py", "tests/scenarios/test_fixtures.py")
+TABLES_OF_DRIVERS = ("tests/contract/test_data_sheets.py", "tests/contract/test_every_device.py")
+"""What holds constants and tables, which are read once, at an import: coverage shows it of the first test alone."""
 LEFT_OUT = ("Variable", "RemoveDecorator")
 """Operators that make another program rather than a slip."""
 SENSIBLE = {"Add": "Sub", "Sub": "Add", "Mul": "Div", "Div": "Mul", "FloorDiv": "Div", "Mod": "FloorDiv"}
@@ -139,7 +140,8 @@ class Reach:
         quickest = sorted(names, key=self._time)
         until = accumulate(map(self._time, quickest))
         chosen = [name for name, so_far in zip(quickest, until, strict=True) if so_far <= SECONDS]
-        return [*([TABLE] if body[0] == 1 else []), *(chosen or quickest[:1])]
+        tables = (*TABLES, *(TABLES_OF_DRIVERS if place.file.startswith("drivers") else ())) if body[0] == 1 else ()
+        return [*tables, *(chosen or quickest[:1])]
 
     def _time(self, test: str) -> float:
         path, _, name = test.partition("::")
