@@ -36,6 +36,7 @@ def test_lines_are_read_as_they_are_printed_and_guessed() -> None:
             layout = find_model("serial-columns").at(address).driver.args[0]
             assert layout.reading(line.encode()) is not None, line
     assert guess(["ax,ay,az,temp", "1,2,3,4"]).roles == ("x", "y", "z", "temperature")
+    assert guess(["0,30,40", "20,31,41", "40,32,42"]).roles == ("x", "y", "z")  # too few to tell a clock
     assert not guess(["hello"]).roles
     layout = find_model("serial-columns").at(parse_address("serial:///dev/null?columns=x,y,z")).driver.args[0]
     for torn in (
