@@ -311,3 +311,10 @@ def test_drawn_parts_differ_and_keep_their_tolerances(device: str) -> None:
 def test_a_part_that_nobody_has_woken_measures_nothing(name: str) -> None:
     sensor = VirtualDevice(DEVICES[name]).sensor
     assert set(sensor.registers(*sensor.part.bursts[0]).values()) == {0}
+
+
+def test_a_row_of_bytes_is_written_to_a_row_of_registers() -> None:
+    """As other programs write the offsets of an ADXL345."""
+    link = VirtualDevice(DEVICES["adxl345"]).line.link
+    link.exchange(b"\x1e\x01\x02\x03")
+    assert link.exchange(b"\x1e", 3) == b"\x01\x02\x03"

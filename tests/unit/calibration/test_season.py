@@ -78,7 +78,9 @@ def test_a_quarter_of_the_way_the_lag_has_changed_by_a_quarter_and_the_limits_ar
         coefficients, limits = replace(BASE.coefficients, thermal=thermal), replace(BASE.limits, tilt={"x": tilt})
         return replace(BASE, coefficients=coefficients, limits=limits, uncertainty=Uncertainty({}))
 
-    found = history(late(100.0, (-30.0, 20.0)), late(200.0, (-10.0, 40.0))).at(25.0 * DAY)
+    season = history(late(100.0, (-30.0, 20.0)), late(200.0, (-10.0, 40.0)))
+    assert repr(season) == "<SensorHistory of SIM-42: 2 calibrations, 1970-01-01 to 1970-04-11>"
+    found = season.at(25.0 * DAY)
     assert found.coefficients.thermal is not None
     assert found.coefficients.thermal.lag == pytest.approx(125.0)
     assert found.limits.tilt == {"x": (-10.0, 20.0)}
