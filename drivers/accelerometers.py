@@ -32,8 +32,7 @@ from tiltcal.drivers.register_facts import (
 from tiltcal.drivers.registers import RegisterPart, RegisterSensor
 from tiltcal.drivers.virtual import Tolerances
 
-COUNTING_ON = {"i": 0x80, "s": 0x40}
-"""The bit of the first byte that makes a burst count on, of parts that need one."""
+COUNTING_ON = {"i": 0x80, "s": 0x40}  # the bit of the first byte that makes a burst count on, of parts that need one
 
 
 MPU = {b"\x68": "mpu6050", b"\x70": "mpu6500", b"\x71": "mpu9250", b"\x73": "mpu9250"}

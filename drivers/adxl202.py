@@ -43,9 +43,7 @@ from tiltcal.errors import BusError, DeviceFault
 ROUND_NUMBERS = (100, 128, 256, 1000, 1024, 10_000, 65_536, 100_000, 1_000_000, 1 << 24, 1 << 31, 1 << 32)
 """Values at which a counter may wrap to 0: the widths of counters and of printed digits."""
 
-FEW = 16
-"""Largest number of missing sentences at a wrap; more than these count as a restart of the device."""
-
+FEW = 16  # largest number of missing sentences at a wrap; more than these count as a restart of the device
 _TICKS = rb"([0-9]{1,12}(?:\.[0-9]{1,9})?)"
 _SENTENCE = re.compile(
     rb"\$PTCDC,([0-9]{1,12})," + rb",".join([_TICKS] * 4) + rb"(?:,([+-]?[0-9]{1,4}(?:\.[0-9]{0,9})?)?)?"
@@ -85,9 +83,7 @@ def missing(before: int, now: int) -> int | None:
     return next((count for count in wrapped if count < FEW), None)
 
 
-ALONE = 8
-"""Pulses on one line, without one on the other, that indicate a broken wire."""
-
+ALONE = 8  # pulses on one line, without one on the other, that indicate a broken wire
 MOST_APART = 1 / 8
 """Fraction of a period by which the pulses of one sensor may deviate from both arrangements (late timestamps)."""
 
@@ -192,15 +188,11 @@ class PulseTrains:
         return None
 
 
-ZERO = 0.5
-"""Nominal duty cycle at 0 g."""
+ZERO = 0.5  # nominal duty cycle at 0 g
 DUTY = "{:.6f} duty"
 
-EDGES_AT_ONCE = 256
-"""The largest number of edges to take in one transaction."""
-
-TROUBLED = 256
-"""Transactions with edges, but without a cycle, before the driver raises an error."""
+EDGES_AT_ONCE = 256  # the largest number of edges to take in one transaction
+TROUBLED = 256  # transactions with edges, but without a cycle, before the driver raises an error
 
 
 class Adxl202Sentences(Sensor):
@@ -309,11 +301,8 @@ class Adxl202Edges(Sensor):
             raise
 
 
-PERIOD = 0.010
-"""T2 with a set resistor of 1.25 MΩ, seconds: the longest period, with the finest resolution."""
-
-TIMER = 8_000_000
-"""Ticks a second of the virtual microcontroller's timer."""
+PERIOD = 0.010  # T2 with a set resistor of 1.25 MΩ, seconds: the longest period, with the finest resolution
+TIMER = 8_000_000  # ticks a second of the virtual microcontroller's timer
 
 
 def period_of(truth: Truth) -> float:
@@ -365,9 +354,7 @@ class VirtualEdges(VirtualPart):
         return pack_edges(numbered[: max(count // RECORD.size, 1)])
 
 
-SENSITIVITY_LIMIT = 0.2
-"""Largest relative error of the sensitivity between parts: 10 to 15 %/g around 12.5 (AN-603)."""
-
+SENSITIVITY_LIMIT = 0.2  # largest relative error of the sensitivity between parts: 10 to 15 %/g around 12.5 (AN-603)
 OFFSET_SPREAD = 0.5
 """Standard deviation of the offset between parts, g; our estimate, because the notes state only that it varies."""
 

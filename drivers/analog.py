@@ -33,15 +33,12 @@ from tiltcal.errors import DeviceFault
 
 CHANNELS = ("x", "y")
 
-ZERO = NOMINAL / 2.0
-"""Nominal reading at 0 g, V referred to 5 V."""
-
+ZERO = NOMINAL / 2.0  # nominal reading at 0 g, V referred to 5 V
 LOWEST_SANE, HIGHEST_SANE = 0.05 * NOMINAL, 0.95 * NOMINAL
 """After a memory parity error an SCA100T holds both outputs below 0.25 V; above 95 % of the supply it is in its
 self-test or its interconnection is broken. The duty cycles of an ADXL202 stay within these limits too."""
 
-BANDWIDTH = 10.0
-"""Assumed bandwidth of the RC filter of an ADXL202, Hz; it sets the noise of the virtual part."""
+BANDWIDTH = 10.0  # assumed bandwidth of the RC filter of an ADXL202, Hz; it sets the noise of the virtual part
 
 
 class AnalogSensor(Sensor):
@@ -211,16 +208,11 @@ ADXL202 = tuple(
 
 # --- Thermistors ---
 
-ZERO_CELSIUS = 273.15
-"""K."""
-
-THERMISTOR_SUPPLY = (1.0, 5.5)
-"""Limits of the converters, V; a divider works with any supply."""
-
+ZERO_CELSIUS = 273.15  # K
+THERMISTOR_SUPPLY = (1.0, 5.5)  # limits of the converters, V; a divider works with any supply
 THERMISTOR_OPTIONS = ("beta", "r0", "t0", "a", "b", "c", "fixed", "to")
 
-SHORTED, OPEN = 0.005, 0.995
-"""Shares of the supply that only a broken divider reaches."""
+SHORTED, OPEN = 0.005, 0.995  # shares of the supply that only a broken divider reaches
 
 
 @dataclass(frozen=True, slots=True)

@@ -26,9 +26,7 @@ from tiltcal.drivers.model import OF_G, Model, Reading, Sensor, in_words
 from tiltcal.drivers.virtual import HeldPose, Truth, VirtualPart
 from tiltcal.errors import BusError, DeviceFault
 
-SCALE = 16384
-"""Of the virtual device, count/g."""
-
+SCALE = 16384  # of the virtual device, count/g
 SETTINGS = {
     "name": ("name",),
     "scale": ("in_accel_scale", "in_accel_x_scale"),
@@ -39,8 +37,7 @@ SETTINGS = {
 """The attributes that a setting may have, the first one that is there; of one that has none, nothing is said."""
 
 
-COMPARED_EVERY = 25
-"""The settings are compared with each of so many samples, the first one too."""
+COMPARED_EVERY = 25  # the settings are compared with each of so many samples, the first one too
 
 
 class IioSensor(Sensor):

@@ -29,21 +29,11 @@ from tiltcal.drivers.virtual import HeldPose, StreamingPart, Tolerances, Truth
 from tiltcal.errors import BusError
 from tiltcal.units import CONVENTIONS
 
-CHUNK = 4096
-"""The largest number of bytes to take at once."""
-
-LONGEST = 1024
-"""Longest line; a longer one means a wrong baud rate, or a device that sends no text."""
-
-PATIENCE = 10.0
-"""Seconds from its first byte in which a line must be complete; a slower one is given up."""
-
-SILENCE = 0.1
-"""Seconds without a byte after which a line begins; a line that is being sent has shorter pauses."""
-
-UNUSABLE = 50
-"""Unusable lines in a row before a driver raises an error."""
-
+CHUNK = 4096  # the largest number of bytes to take at once
+LONGEST = 1024  # longest line; a longer one means a wrong baud rate, or a device that sends no text
+PATIENCE = 10.0  # seconds from its first byte in which a line must be complete; a slower one is given up
+SILENCE = 0.1  # seconds without a byte after which a line begins; a line that is being sent has shorter pauses
+UNUSABLE = 50  # unusable lines in a row before a driver raises an error
 _LINE_END = re.compile(rb"[\r\n]+")
 
 SKIPPED = ("", "-")
@@ -58,20 +48,14 @@ SEPARATORS = {
 }
 """By name, because some of the characters have a meaning in an address."""
 
-UNSTATED = "unit"
-"""Unit if the address states none."""
-
-UNKNOWN = 1e6
-"""Stands for an unknown sensitivity, unit/g: large, so that no change of a reading looks like a movement."""
-
+UNSTATED = "unit"  # unit if the address states none
+UNKNOWN = 1e6  # stands for an unknown sensitivity, unit/g: large, so that no change of a reading looks like a movement
 OFFSET_SPREAD, ANYWHERE = 0.1, 1e4
 """Standard deviation of the offset between devices, g, with and without a known nominal offset."""
 
 SCALE_OPTIONS = ("offset", "sensitivity", "low", "high")
 
-RAIL = 1e12
-"""Rails if the address states none: no printed number reaches them."""
-
+RAIL = 1e12  # rails if the address states none: no printed number reaches them
 _WORD = re.compile(r"[^\W\d]\w*(?:\^?-?\d)?")  # a label or unit
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9]*")
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+(?:\.([0-9]*))?|\.([0-9]+))(?:[eE]([+-]?[0-9]{1,3}))?")
@@ -309,8 +293,7 @@ def virtual_columns(columns: ColumnLayout, unit: str, truth: Truth, fixture: Hel
 
 
 LIMITS = Tolerances(offset=0.05, sensitivity=0.03, cross=0.02, drift=0.001)
-OF_ANGLES = replace(LIMITS, cross=0.008)
-"""Of a virtual device; they are ours."""
+OF_ANGLES = replace(LIMITS, cross=0.008)  # of a virtual device; they are ours
 
 
 class Scale(NamedTuple):

@@ -40,8 +40,7 @@ from tiltcal.errors import BusError, DeviceFault
 SCHEMES = ("ads1115+i2c", "mcp3208+spi")
 """Address schemes of the converters: part and bus of each. A virtual sensor is behind the first one."""
 
-NOMINAL = 5.0
-"""Nominal supply of analog sensors, V."""
+NOMINAL = 5.0  # nominal supply of analog sensors, V
 
 
 class Converter(ABC):
@@ -162,21 +161,14 @@ def take_inputs(address: Address, signals: Mapping[str, int], low: float, high: 
 
 # --- TI ADS1115 ---
 
-CONVERSION, CONFIG = 0x00, 0x01
-"""Registers."""
-START = DONE = 0x8000
-"""OS: writing it starts a conversion; reading it shows that none is running."""
-RESET = 0x8583
-"""Content of the config register after power-up."""
+CONVERSION, CONFIG = 0x00, 0x01  # registers
+START = DONE = 0x8000  # OS: writing it starts a conversion; reading it shows that none is running
+RESET = 0x8583  # content of the config register after power-up
 RANGES = (6.144, 4.096, 2.048, 1.024, 0.512, 0.256)
 """Full scales, V, by their code. An input may never exceed the converter's own supply, whatever the full scale."""
-RATES = (8, 16, 32, 64, 128, 250, 475, 860)
-"""Conversions per second, by their code."""
-TOLERANCE = 0.1
-"""The converter's clock may be this much slower or faster than nominal."""
-POLLS = 20
-"""Polls of a conversion, a tenth of its duration apart, before it counts as failed."""
-
+RATES = (8, 16, 32, 64, 128, 250, 475, 860)  # conversions per second, by their code
+TOLERANCE = 0.1  # the converter's clock may be this much slower or faster than nominal
+POLLS = 20  # polls of a conversion, a tenth of its duration apart, before it counts as failed
 _SINGLE_ENDED, _SINGLE_SHOT, _COMPARATOR_OFF = 0b100, 0x0100, 0b00011
 
 
@@ -284,8 +276,7 @@ class VirtualAds1115(VirtualPart):
 
 # --- Microchip MCP3208 ---
 
-CODES = 4096
-"""Steps of the reference voltage."""
+CODES = 4096  # steps of the reference voltage
 PORT = SpiPort(modes=(0, 3), fastest=2_000_000, speed=1_000_000)
 """20 clocks a sample: 100,000 samples a second at a supply of 5 V are 2 MHz, 50,000 at 2.7 V are 1 MHz."""
 

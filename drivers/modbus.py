@@ -37,17 +37,10 @@ ORDERS = {"abcd": (False, False), "cdab": (True, False), "badc": (False, True), 
 
 TABLES = {"holding": HOLDING, "input": INPUT}
 
-UNIT = "measured_in"
-"""The option for the unit of the numbers, because ``unit`` is the device on the line."""
-
-LONGEST = 125
-"""Registers of one request (MODBUS Application Protocol V1.1b3, 6.3)."""
-
-RATE = 10.0
-"""Samples per second if the address states no rate."""
-
-BUSY = (5, 6)
-"""Exception codes of a unit that carries out something else first: the request is to be sent again."""
+UNIT = "measured_in"  # the option for the unit of the numbers, because `unit` is the device on the line
+LONGEST = 125  # registers of one request (MODBUS Application Protocol V1.1b3, 6.3)
+RATE = 10.0  # samples per second if the address states no rate
+BUSY = (5, 6)  # exception codes of a unit that carries out something else first: the request is to be sent again
 BUSY_REQUESTS, BUSY_SECONDS = 20, 0.25
 """How often a busy unit is asked, and the time from its answer to the next request, s."""
 
@@ -190,10 +183,8 @@ class ModbusColumns(Sensor):
         return {first + place: answer[2 + 2 * place : 4 + 2 * place] for place in range(number)}
 
 
-ANSWER_SECONDS = 0.020
-"""Time from a request to the end of its answer, s."""
-NUMBERS_PER_SECOND = 100.0
-"""How often a virtual device has new ones."""
+ANSWER_SECONDS = 0.020  # time from a request to the end of its answer, s
+NUMBERS_PER_SECOND = 100.0  # how often a virtual device has new ones
 VIRTUAL_TIMEOUT = 1.0
 
 
@@ -267,8 +258,7 @@ def column_of(address: Address, text: str) -> RegisterColumn:
     return column
 
 
-SIMULATED = "x@0:float32,y@2:float32,temperature@4:float32"
-"""Default columns of a virtual device."""
+SIMULATED = "x@0:float32,y@2:float32,temperature@4:float32"  # default columns of a virtual device
 
 
 def modbus_columns_at(address: Address) -> Model:

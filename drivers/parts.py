@@ -37,8 +37,7 @@ from tiltcal.errors import BusError, DeviceFault
 # registers are never written: what they hold is lost with the next reset, and a calibration with it.
 
 SHADOW, SHADOWS = 0x50, 5
-RESETS = 5
-"""Largest number of resets until the trim is loaded."""
+RESETS = 5  # largest number of resets until the trim is loaded
 TEMPERATURE = 0x06
 
 
@@ -183,12 +182,9 @@ IIS2ICLX = RegisterPart(
 # reserved bit can block the part, and a calibration needs only reads.
 
 REVID, STATUS, MODE = 0x00, 0x02, 0x14
-UNLOCKED, CHECKSUM_ERROR, FRAME_ERROR = 0x20, 0x02, 0x01
-"""Bits of STATUS."""
-MODES = ("normal", "option 1", "option 2", "motion detection")
-"""By bits 1 and 0 of MODE."""
-OVERLOAD = (-3456, 3455)
-"""The words 0x9400 and 0x6BFF, which mean an overloaded channel, count."""
+UNLOCKED, CHECKSUM_ERROR, FRAME_ERROR = 0x20, 0x02, 0x01  # bits of STATUS
+MODES = ("normal", "option 1", "option 2", "motion detection")  # by bits 1 and 0 of MODE
+OVERLOAD = (-3456, 3455)  # the words 0x9400 and 0x6BFF, which mean an overloaded channel, count
 SCA3000_THERMOMETER = Thermometer(Field(0x12, 9, shift=5, order="little", signed=False), 256, 1.8, 23.0)
 
 

@@ -40,15 +40,10 @@ from tiltcal.errors import DeviceFault, UsageError
 
 MEAS, RWTR, STX, STY, RDAX, RDAY = 0x00, 0x08, 0x0E, 0x0F, 0x10, 0x11
 
-FULL_SCALE = 2047
-"""Largest 11-bit word; it corresponds to the supply voltage."""
-ZERO = 1024
-"""Nominal word at 0 g."""
-LOWEST_SANE_WORD = 102
-"""After a memory parity error or a broken interconnection, the part sends words below this one."""
-HIGHEST_SANE_WORD = 1945
-"""Largest word of an SCA103T; a larger one is a broken connection or a tilt out of range."""
-
+FULL_SCALE = 2047  # largest 11-bit word; it corresponds to the supply voltage
+ZERO = 1024  # nominal word at 0 g
+LOWEST_SANE_WORD = 102  # after a memory parity error or a broken interconnection, the part sends words below this one
+HIGHEST_SANE_WORD = 1945  # largest word of an SCA103T; a larger one is a broken connection or a tilt out of range
 REFRESH, RECOVERY = 150e-6, 15e-6
 """Seconds of chip select high before a read (the output registers reload every 150 µs, but not while it is low), and
 before any other frame."""
@@ -56,10 +51,8 @@ PUSH, SETTLING = 80e-3, 150e-3
 """Seconds of self-test (20 to 100 ms are allowed, saturation takes 25 ms typically), and after it: typically stable
 after 55 ms; nearly three times that allows for slow parts."""
 
-SENSITIVITY_LIMIT = 0.005
-"""Largest relative error of the sensitivity as delivered."""
-CROSS_AXIS_LIMIT = 0.04
-"""Largest sum of the two cross-axis sensitivities, relative to the channel's own."""
+SENSITIVITY_LIMIT = 0.005  # largest relative error of the sensitivity as delivered
+CROSS_AXIS_LIMIT = 0.04  # largest sum of the two cross-axis sensitivities, relative to the channel's own
 SLOPES = (0.008, 0.014)
 """Typical deviation of the slopes of offset (°/°C) and sensitivity (%/°C) from the mean of the parts."""
 
@@ -213,10 +206,8 @@ def decode_temperature(frame: bytes) -> float:
     return (frame[1] - 197) / -1.083
 
 
-RELOAD_NS = 150_000
-"""Time between two conversions, which number the noise."""
-SATURATION = 25e-3
-"""Typical time to 95 % of the deflection of a self-test, s."""
+RELOAD_NS = 150_000  # time between two conversions, which number the noise
+SATURATION = 25e-3  # typical time to 95 % of the deflection of a self-test, s
 
 
 class VirtualSca100t(VirtualPart):

@@ -42,16 +42,11 @@ BANK_0, BANK_1 = bytes.fromhex("FC000073"), bytes.fromhex("FC00016E")
 RESET = bytes.fromhex("B4002098")
 MODES = tuple(bytes.fromhex(frame) for frame in ("B400001F", "B4000102", "B4000225", "B4000338"))
 """Set Murata's mode 1, 2, 3, 4."""
-MODE = bytes.fromhex("340000DF")
-"""Read the mode."""
-WAKE_UP = MODES[0]
-"""The only frame that a part in power-down takes."""
-
+MODE = bytes.fromhex("340000DF")  # read the mode
+WAKE_UP = MODES[0]  # the only frame that a part in power-down takes
 SAMPLE = (ACC_X, ACC_Y, ACC_Z, TEMPERATURE)
 
-NORMAL, ERROR = 0b01, 0b11
-"""Return status; 0b00 is a part that starts up, 0b10 is reserved."""
-
+NORMAL, ERROR = 0b01, 0b11  # return status; 0b00 is a part that starts up, 0b10 is reserved
 FLAGS = {
     0x200: "digital block (DIGI1)",
     0x100: "digital block (DIGI2)",
@@ -71,13 +66,9 @@ RESTARTED = 0x010 | 0x004 | 0x002
 """Flags of a part that was reset, switched off or put into another mode since it was set up."""
 
 
-GAP = 10e-6
-"""Seconds of chip select high before a frame; with less the data are corrupt."""
-RESET_SECONDS = 3e-3
-"""Seconds after a software reset."""
-
-ATTEMPTS = 12
-"""Unusable samples in a row before an error. If one frame in fifty is damaged, so is one sample in ten."""
+GAP = 10e-6  # seconds of chip select high before a frame; with less the data are corrupt
+RESET_SECONDS = 3e-3  # seconds after a software reset
+ATTEMPTS = 12  # unusable samples in a row before an error. If one frame in fifty is damaged, so is one sample in ten.
 
 
 class Answer(NamedTuple):
@@ -317,8 +308,7 @@ class Scl3300(Sensor):
         return require_length(self._link.exchange(frame), len(frame), "frame")
 
 
-POWER, MODE_CHANGE, MEMORY = 0x10, 0x02, 0x08
-"""Bits of STATUS."""
+POWER, MODE_CHANGE, MEMORY = 0x10, 0x02, 0x08  # bits of STATUS
 WORDS_PER_SECOND = 2000.0
 
 

@@ -28,15 +28,13 @@ from tiltcal.drivers.columns import UNKNOWN, UNSTATED, ColumnLayout, ColumnsSens
 from tiltcal.drivers.model import Model
 from tiltcal.drivers.virtual import HeldPose, StreamingPart, Truth, normal, part_errors
 
-PHASES = (0.0, 180.0, 90.0, 270.0)
-"""Where a1, a2, a3 and a4 sit, degrees."""
+PHASES = (0.0, 180.0, 90.0, 270.0)  # where a1, a2, a3 and a4 sit, degrees
 CHANNELS = ("a1", "a2", "a3", "a4")
 TIME, THETA = "time", "theta"
 
 BAUDRATE = 921_600
 
-FASTEST = 400.0
-"""Largest number of lines per second at the baud rate."""
+FASTEST = 400.0  # largest number of lines per second at the baud rate
 
 
 @dataclass(frozen=True)
@@ -141,8 +139,7 @@ def draw_truth(seed: int) -> StageTruth:
     return StageTruth.of(replace(Disk(), accelerometers=parts, encoder_noise=0.002), seed)
 
 
-PRINTED = "time,theta,a1,a2,a3,a4"
-"""Default columns: seconds, the stage angle in degrees, the four readings."""
+PRINTED = "time,theta,a1,a2,a3,a4"  # default columns: seconds, the stage angle in degrees, the four readings
 
 
 def gradiometer_at(address: Address) -> Model:

@@ -25,17 +25,12 @@ if TYPE_CHECKING:
 Vector = tuple[float, float, float]
 Polynomial = tuple[float, ...]
 
-LEVEL = (0.0, 0.0, 1.0)
-"""Up in the frame of a level sensor, g."""
-
+LEVEL = (0.0, 0.0, 1.0)  # up in the frame of a level sensor, g
 JIG, AMBIENT, TIME_CONSTANT = 0.01, 24.0, 20.0
 """Jig (°), temperature at the start (°C) and chamber (s) of a virtual part that is drawn."""
 
-REFERENCE = 25.0
-"""Temperature of the errors of a part that is drawn within its tolerances, °C."""
-
-SILENCE = 5.0
-"""Timeout of a virtual line, s."""
+REFERENCE = 25.0  # temperature of the errors of a part that is drawn within its tolerances, °C
+SILENCE = 5.0  # timeout of a virtual line, s
 
 
 def uniform(seed: int, name: str, number: int) -> float:

@@ -23,16 +23,11 @@ from tiltcal.errors import BusError
 
 HEAD, ACCELERATION = 0x55, 0x51
 DATA = Struct("<4h")
-LENGTH = 11
-"""Bytes of a frame."""
-
+LENGTH = 11  # bytes of a frame
 COUNT_PER_G = 2048.0
 CHANNELS = ("x", "y", "z")
-OFFSET, SENSITIVITY = 0.05, 0.02
-"""Largest offset, g, and relative error of a virtual part; no source states them."""
-NOISE = 2.0
-"""Of a sample of a virtual part, count; no source states it."""
-
+OFFSET, SENSITIVITY = 0.05, 0.02  # largest offset, g, and relative error of a virtual part; no source states them
+NOISE = 2.0  # of a sample of a virtual part, count; no source states it
 LONGEST = 2048
 """Bytes without an acceleration that are an error: nearly two seconds of ten other kinds, 110 bytes a second each."""
 

@@ -32,12 +32,8 @@ from tiltcal.dialect import (
 )
 from tiltcal.units import is_unit
 
-HEAD_LINES = 200
-"""Lines in which the table must begin."""
-
-SEPARATORS = (",", ";", "\t", "|", " ")
-"""Of the fields of a row, the likeliest first; a blank stands for several."""
-
+HEAD_LINES = 200  # lines in which the table must begin
+SEPARATORS = (",", ";", "\t", "|", " ")  # of the fields of a row, the likeliest first; a blank stands for several
 LONGEST_PATTERN = 2000  # characters of a line with labels
 FEW = 20  # lines of which all show how rows are written, not the later half of them
 

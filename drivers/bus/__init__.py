@@ -116,9 +116,7 @@ class Device:
         return tuple(dict.fromkeys(address.partition(":")[0] for address in self.addresses))
 
 
-LINE = ("baudrate", "parity", "bits", "stopbits")
-"""Options of a serial line."""
-
+LINE = ("baudrate", "parity", "bits", "stopbits")  # options of a serial line
 BUSES = {
     "spi": Bus("s", "tiltcal.drivers.bus.spi:open_spi", ("mode", "speed")),
     "i2c": Bus("i", "tiltcal.drivers.bus.i2c:open_i2c", ("address",)),

@@ -23,18 +23,10 @@ from tiltcal.extras import how_to_add
 
 RECORD = Struct("<QBBI")
 
-TIMEOUT = 2.0
-"""Seconds without an edge that are an error: two hundred of the part's longest periods."""
-
-GATHER = 0.005
-"""Seconds for which edges are collected into one answer: 20 edges at 4,000 per second."""
-
-KERNEL_BUFFER = 1024
-"""Edges that the kernel buffers for two lines before the oldest is lost; this is its maximum."""
-
-MOST_LINES = 65_536
-"""No chip has as many lines."""
-
+TIMEOUT = 2.0  # seconds without an edge that are an error: two hundred of the part's longest periods
+GATHER = 0.005  # seconds for which edges are collected into one answer: 20 edges at 4,000 per second
+KERNEL_BUFFER = 1024  # edges that the kernel buffers for two lines before the oldest is lost; this is its maximum
+MOST_LINES = 65_536  # no chip has as many lines
 NODE = Node("gpio", ("gpiochip*",), "no GPIO chip is present", "a GPIO chip, as /dev/gpiochip0 is")
 OPENING = ((errno.ENODEV, errno.ENOTTY), "{place} is no GPIO chip, as /dev/gpiochip0 is")
 LINES = ((errno.EINVAL,), "{place} refuses the lines ({cause}): does it have them?"), ((errno.EIO,), GONE)

@@ -9,9 +9,7 @@ from tiltcal.drivers.bus.address import Address
 from tiltcal.drivers.bus.nodes import Node, import_library
 from tiltcal.errors import BusError
 
-LOWEST, HIGHEST = 0x08, 0x77
-"""The 7-bit addresses that a device may have; the I2C specification reserves the others."""
-
+LOWEST, HIGHEST = 0x08, 0x77  # the 7-bit addresses that a device may have; the I2C specification reserves the others
 NODE = Node(
     "i2c-dev",
     ("i2c-*",),

@@ -17,20 +17,13 @@ from tiltcal.drivers.bus.nodes import SERIAL_PORT, import_library
 from tiltcal.drivers.bus.serial import line_settings
 from tiltcal.errors import BusError
 
-BAUDRATE = 9600
-"""If the address names none, baud."""
+BAUDRATE = 9600  # if the address names none, baud
 PORT = 502
 _PORT_NUMBER = re.compile("[0-9]{1,5}")
-TIMEOUT = 1.0
-"""Timeout after which an answer counts as lost, s."""
-TRIES = 2
-"""How often a request is sent: a frame is lost now and then, and a chamber is asked for hours."""
-
-SILENCE = 3.0
-"""Seconds without a byte after which no late answer is expected."""
-BABBLE = 20
-"""Pieces of data that are discarded before a line counts as one that is never silent."""
-
+TIMEOUT = 1.0  # timeout after which an answer counts as lost, s
+TRIES = 2  # how often a request is sent: a frame is lost now and then, and a chamber is asked for hours
+SILENCE = 3.0  # seconds without a byte after which no late answer is expected
+BABBLE = 20  # pieces of data that are discarded before a line counts as one that is never silent
 HOLDING, INPUT, WRITE_ONE, WRITE, FAILED = 3, 4, 6, 16, 0x80
 """Function codes that read a table, or write one register or several, and the bit that an exception adds to them."""
 

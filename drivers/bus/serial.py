@@ -12,15 +12,11 @@ from tiltcal.drivers.bus.address import Address
 from tiltcal.drivers.bus.nodes import GONE, SERIAL_PORT, error_number, import_library
 from tiltcal.errors import BusError
 
-BAUDRATE = 115_200
-"""Default, baud."""
-
+BAUDRATE = 115_200  # default, baud
 TIMEOUT = 5.0
 """Seconds of silence that are an error. Opening the port resets many boards, whose boot loader then takes two."""
 
-GATHER = 0.010
-"""Seconds for which data are collected into one answer, so that a fast sensor needs few transactions."""
-
+GATHER = 0.010  # seconds for which data are collected into one answer, so that a fast sensor needs few transactions
 _PORT_ERRORS: tuple[type[Exception], ...] = (OSError, ValueError, TypeError)
 """Errors that pyserial does not wrap. A TypeError means that another error has closed the port."""
 with suppress(ImportError):  # not on Windows

@@ -17,13 +17,10 @@ from tiltcal.drivers.bus.gpio import RECORD, Edge, pack_edges
 from tiltcal.drivers.bus.nodes import import_library
 from tiltcal.errors import BusError
 
-PREFACE = 20
-"""Lines before the header that are skipped."""
-
+PREFACE = 20  # lines before the header that are skipped
 _IDENTITY = attrgetter("st_ino", "st_size", "st_mtime_ns")
 
-MOST_NS = 1 << 63
-"""The record of an edge holds times up to 292 years."""
+MOST_NS = 1 << 63  # the record of an edge holds times up to 292 years
 
 
 def open_vcd(address: Address) -> VcdLink:

@@ -31,7 +31,6 @@ def command(calibrations: tuple[Path, ...], mounting: str, output: Path) -> None
     information. Positions of one journal count once. A file without positions enters by its values and their
     covariance.
     """
-
     require_replaceable(output, None, *calibrations)
     found = combine(calibrations, mounting=mounting)
     found.save(output, remark)

@@ -12,8 +12,7 @@ import click
 if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
 
-_FILES = ("FILE", "PATH", "CAL", "JOURNAL", "SEG")
-"""What the help of an option calls a file."""
+_FILES = ("FILE", "PATH", "CAL", "JOURNAL", "SEG")  # what the help of an option calls a file
 
 
 class Completed(click.ParamType[Any]):

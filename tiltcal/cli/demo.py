@@ -93,7 +93,6 @@ def command(folder: Path, seed: int) -> None:
 
 def _record(path: Path, address: Address, model: Model) -> None:
     """Write the log for the calibration, a row each second, with its true tilt beside the readings."""
-
     clock, device = VirtualClock(), BenchSensor("", model.name, str(address))
     bench = VirtualBench(clock, [device])
     sensor = model.driver(bench.twin(device), clock)

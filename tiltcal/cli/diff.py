@@ -23,7 +23,6 @@ def command(before: Path, after: Path, as_json: bool) -> int:
     number of coefficients: of two calibrations of an unchanged sensor it calls 5 % changed. A coefficient that does not
     mean the same in both files is not comparable. Exit code 1 if something changed.
     """
-
     found = compare_records(*map(read_calibration, (before, after)))
     options.print_judged(options.json_text(found.as_data()) if as_json else str(found))
     return NEGATIVE_VERDICT if found.verdict.word == "changed" else 0

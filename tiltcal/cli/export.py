@@ -47,7 +47,6 @@ def command(calibration: Path, to: str, output: Path | None, name: str, fixed: b
 
     What a target does not hold is named, with the largest error of an angle that this costs in the calibrated range.
     """
-
     if fixed and to != "c":
         raise UsageError(f"--fixed is for c; {to} has one form: leave it out")
     if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", name):

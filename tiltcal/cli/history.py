@@ -11,9 +11,7 @@ from tiltcal.calibration.season import CalibrationFolder, FleetHistory, fleet_hi
 from tiltcal.cli import options
 from tiltcal.errors import UsageError
 
-LONGEST = 36525
-"""Interval of 100 years, days."""
-
+LONGEST = 36525  # interval of 100 years, days
 _EXAMPLE = """\b
 Examples:
   tiltcal history calibrations

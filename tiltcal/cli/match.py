@@ -70,7 +70,6 @@ def command(
 
     With --online, Ctrl-C ends the stream, and the estimates until then are the result.
     """
-
     wanted = pairs_of(_triples(pairs, orthogonals))
     if figure:
         check_writable(figure, log)
@@ -100,7 +99,6 @@ def spectra_of(matching: Matching, log: PairLog) -> PairDrawing:
     EstimateError
         The record is too short for them.
     """
-
     frequency, densities = log.densities(matching)
     turning = log.frequency or log.turns / (log.rows + log.missing)
     return PairDrawing(frequency, densities, turning, "Hz" if log.rate else "1/row")

@@ -31,8 +31,7 @@ HEADINGS = {
 }
 """The headings of a long help without declared options, the most used first; all others are under "Other"."""
 
-SHORT = 7
-"""Most options that are listed without headings."""
+SHORT = 7  # most options that are listed without headings
 
 
 class Command(click.Command):
@@ -67,8 +66,7 @@ def of_topic(log: str, topic: str | None) -> str:
     return log if topic is None else f"{log}::{topic}"
 
 
-command = partial(click.command, cls=Command)
-"""Make a command of a function."""
+command = partial(click.command, cls=Command)  # makes a command of a function
 
 
 class Number(click.ParamType[Any]):
@@ -122,9 +120,8 @@ def declared(declaration: type, names: str = "") -> Callable[[F], F]:
     return with_options
 
 
-file_option = partial(click.option, type=FILE)
-above_zero = partial(click.option, type=Number(require_above_zero))
-"""Options that take a path, and a number above 0."""
+file_option = partial(click.option, type=FILE)  # an option that takes a path
+above_zero = partial(click.option, type=Number(require_above_zero))  # an option that takes a number above 0
 
 as_json = click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 

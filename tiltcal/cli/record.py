@@ -20,8 +20,7 @@ from tiltcal.errors import INTERRUPTED, UsageError
 from tiltcal.files.bench import BenchFile
 from tiltcal.files.document import read_document
 
-SHOWN_EVERY = 0.25
-"""Period of the progress line, s."""
+SHOWN_EVERY = 0.25  # period of the progress line, s
 
 
 @options.command(epilog="Example: tiltcal record --bench bench.yaml --rate 10 -o night.csv")

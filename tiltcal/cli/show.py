@@ -26,7 +26,6 @@ def command(calibration: Path, matrix: bool) -> None:
     With --matrix it also prints A (g/unit) and b (unit) at the reference temperature: gravity is A (u - b), in the
     frame of the application, of the readings u. `tiltcal export` has it for programs.
     """
-
     record = record_in(read_document(calibration))
     if not isinstance(record, CalibrationRecord):
         if matrix:
@@ -39,7 +38,6 @@ def command(calibration: Path, matrix: bool) -> None:
 
 def _map_lines(record: CalibrationRecord) -> Iterator[str]:
     """Yield the lines of A and b."""
-
     affine, sensor = affine_of(record.coefficients), record.sensor
     axes = sensor.channels if len(affine.matrix) == 1 else AXES[: len(affine.matrix)]
     yield f"  g = A (u - b), A in g per {sensor.unit}, columns {', '.join(sensor.channels)}; b in {sensor.unit}"

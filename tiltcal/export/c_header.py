@@ -15,11 +15,8 @@ from tiltcal.core.compensation import CLIP_LIMIT, LONGEST, SHORTEST, Compensatio
 from tiltcal.core.model import NEWTON_STEPS, Array, Coefficients
 from tiltcal.export.affine import affine_of
 
-SINGLE = 2.0**-24
-"""The largest relative error of a rounding in single precision."""
-
-_ROUNDINGS = 8.0
-"""Roundings behind those of a reading and its offset, of terms that are no larger than 1 g."""
+SINGLE = 2.0**-24  # the largest relative error of a rounding in single precision
+_ROUNDINGS = 8.0  # roundings behind those of a reading and its offset, of terms that are no larger than 1 g
 
 
 def header(name: str, origin: str, text: Iterable[str]) -> str:

@@ -19,8 +19,7 @@ Whole = NDArray[np.int64]
 _SIGNAL_BITS, _MATRIX_BITS, _GAIN_BITS, _STEP_BITS = 38, 22, 24, 15
 """Of a reading without its offset, an element of A, and behind the point of the gain; 327.68 °C count as 1."""
 
-_LARGEST_TERM = 2.0**46
-"""A coefficient of a polynomial that is larger overflows in 64 bits."""
+_LARGEST_TERM = 2.0**46  # a coefficient of a polynomial that is larger overflows in 64 bits
 
 
 @dataclass(frozen=True)

@@ -14,12 +14,9 @@ from tiltcal.core.model import AXES, Array, Coefficients, Limits, overlap
 Formula = Callable[[Array, Array], Array]
 """Gravity, shape (n, axes), of readings, shape (n, channels), and temperatures, °C, shape (n,)."""
 
-ROOM = 25.0
-"""The temperature of a calibration that states none, °C."""
-
+ROOM = 25.0  # the temperature of a calibration that states none, °C
 _TEMPERATURES, _ANGLES, _DIRECTIONS = 9, 65, 4000
-_BETWEEN = 1.1
-"""An error between the attitudes and temperatures that are tried may be larger by this factor."""
+_BETWEEN = 1.1  # an error between the attitudes and temperatures that are tried may be larger by this factor
 
 
 def largest_error(

@@ -23,8 +23,7 @@ from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.coefficients import coefficients_section
 from tiltcal.files.record import plain
 
-STANDARD_GRAVITY = 9.80665
-"""m/s²."""
+STANDARD_GRAVITY = 9.80665  # m/s²
 
 
 @dataclass(frozen=True)

@@ -42,12 +42,8 @@ from tiltcal.logs.options import ApplyOptions, silent
 from tiltcal.logs.streams import sha256_of
 from tiltcal.stated_arguments import require_from_zero
 
-FARTHEST_TURN = 5.0
-"""Degrees by which two mountings may differ to have others between them."""
-
-STEPS = 64
-"""Of the time between two calibrations, each with an uncertainty of its own."""
-
+FARTHEST_TURN = 5.0  # degrees by which two mountings may differ to have others between them
+STEPS = 64  # of the time between two calibrations, each with an uncertainty of its own
 SERIAL_NOTES = ("serial", "serial_number", "sensor_serial_number", "instrument_serial_number")
 """The attributes or metadata of a log that may state its sensor."""
 

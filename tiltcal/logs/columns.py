@@ -22,8 +22,7 @@ if TYPE_CHECKING:
 
 HEADING = "heading"
 
-_MEMORY = 256 << 20
-"""Keep the columns in memory up to so many bytes, and in temporary files beyond."""
+_MEMORY = 256 << 20  # keep the columns in memory up to so many bytes, and in temporary files beyond
 
 
 def named_columns(

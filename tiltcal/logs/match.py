@@ -31,9 +31,7 @@ from tiltcal.logs.log import LogReader, Progress
 from tiltcal.stated_arguments import require_boolean, require_text_or_none
 from tiltcal.units import DEGREE
 
-Course = Sequence[tuple[float, float, float, float]]
-"""The estimates of a pair turn by turn, as a figure shows them."""
-
+Course = Sequence[tuple[float, float, float, float]]  # the estimates of a pair turn by turn, as a figure shows them
 _TURNS_OF_SEGMENT, _LONGEST_SEGMENT = 8, 1 << 18  # turns and, at the most, rows of a segment of the spectra
 
 

@@ -474,7 +474,6 @@ def _both(name: str, channel: str, value: float, scale: NoiseScale) -> dict[str,
 
 def _kinds(channel: str, noise: ChannelNoise, scale: NoiseScale) -> Iterator[str]:
     """Yield the kinds of noise of a channel, and where averaging ends."""
-
     lines = []
     for term, value in noise.terms.value.items():
         kind, factor, per = _KINDS[term]

@@ -22,9 +22,7 @@ from tiltcal.stated_arguments import (
     shown,
 )
 
-LOCAL_GRAVITY = (9.7, 9.9)
-"""Gravity on the ground is between these, m/s²."""
-
+LOCAL_GRAVITY = (9.7, 9.9)  # gravity on the ground is between these, m/s²
 _DURATION = re.compile(r"(\d+\.?\d*|\.\d+) *(ms|s|min|h|d)?", re.ASCII)
 _SECONDS = {"ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0}
 

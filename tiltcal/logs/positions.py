@@ -33,23 +33,16 @@ from tiltcal.files.tables import Segment, TabledPosition
 from tiltcal.logs.columns import RecordedColumns
 from tiltcal.logs.numbers_and_times import clock_breaks
 
-FEWEST_ROWS = 2
-"""Samples that a segment needs for a standard deviation."""
-
-UP = (0.0, 0.0, 1.0)
-"""Stands for a direction that nothing has said yet."""
-
+FEWEST_ROWS = 2  # samples that a segment needs for a standard deviation
+UP = (0.0, 0.0, 1.0)  # stands for a direction that nothing has said yet
 MOST_FAULTS = 2  # holds in which one channel may be at its rail or stand still before the sensor is not credible
 STEP_BLOCKS, STEP = 8, 4.0  # blocks of a hold; a jump between them exceeds their wandering so many times
 
-SOAKS = 3
-"""Soaks up to the end of a segment over which the temperature is judged."""
-
+SOAKS = 3  # soaks up to the end of a segment over which the temperature is judged
 FEWEST_FOR_A_RISE, CERTAIN = 4, 3.0
 """The least number of samples that can show a rise, and the standard deviations by which it exceeds their scatter."""
 
-Rails = Mapping[str, tuple[float, float]]
-"""The lowest and the highest reading of channels, unit."""
+Rails = Mapping[str, tuple[float, float]]  # the lowest and the highest reading of channels, unit
 
 
 @dataclass(frozen=True)

@@ -38,9 +38,7 @@ from tiltcal.core.uncertain import coverage_factor
 from tiltcal.errors import Argument, EstimateError, Parts
 from tiltcal.files.tables import Segment
 
-WINDOWS = (200, 100, 50, 25)
-"""Rows of the windows that are tried."""
-
+WINDOWS = (200, 100, 50, 25)  # rows of the windows that are tried
 MULTIPLES = (1.4, 1.7, 2.0, 2.4, 2.8, 3.4, 4.0, 5.0, 6.0, 8.0, 10.0)
 """Thresholds that are tried, in units of the noise of the stillest part."""
 

@@ -23,9 +23,7 @@ from tiltcal.errors import InputError, TiltcalError, UsageError
 
 T = TypeVar("T")
 
-STANDARD = "-"
-"""The name of standard input and standard output."""
-
+STANDARD = "-"  # the name of standard input and standard output
 _LOOK = 0.2  # seconds until a wait for bytes looks whether Ctrl-C came
 _OF_THE_SYSTEM = re.compile(r"\(os error (\d+)\)$|errno = (\d+)")  # in what libraries say where the system refuses
 _SPOOL = 64 << 20  # bytes of a result for standard output that stay in memory

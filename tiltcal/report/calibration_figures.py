@@ -18,8 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-POINTS = 81
-"""Temperatures at which a drift is drawn."""
+POINTS = 81  # temperatures at which a drift is drawn
 
 
 def tilt_figure(calibration: CalibrationRecord, curves: Mapping[str, TiltUncertainty]) -> SvgFigure | None:

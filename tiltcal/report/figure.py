@@ -20,9 +20,7 @@ if TYPE_CHECKING:
 
     Plot = Callable[[Figure], None]
 
-WIDTH = 6.85
-"""Width of a figure on the page, inches: A4 with margins of 18 mm."""
-
+WIDTH = 6.85  # width of a figure on the page, inches: A4 with margins of 18 mm
 INK, GREY, BLUE, RED = "#000000", "#8a8a8a", "#1f6f8b", "#c0504d"
 
 CHANNELS = {"x": (BLUE, "o", "-"), "y": (RED, "s", "--"), "z": ("#4f6228", "^", ":")}

@@ -9,13 +9,10 @@ from math import floor, isfinite, log10
 
 from tiltcal.core.rounding import bracketed, round_to_place
 
-LABORATORY = 2
-"""Digits of an uncertainty on the page (GUM, 7.2.6)."""
-
+LABORATORY = 2  # digits of an uncertainty on the page (GUM, 7.2.6)
 MINUS = "−"
 SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
-_MOST_DECIMALS = 9
-"""Largest number of digits before a power of ten is used."""
+_MOST_DECIMALS = 9  # largest number of digits before a power of ten is used
 
 
 def measured(value: float, uncertainty: float | None, digits: int = 6) -> str:

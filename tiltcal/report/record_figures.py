@@ -25,15 +25,11 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-ANGLE_BINS = 48
-"""Intervals of the histogram of an angle."""
-
+ANGLE_BINS = 48  # intervals of the histogram of an angle
 SECONDS = (("s", 1.0, 300.0), ("min", 60.0, 4 * 3600.0), ("h", 3600.0, 4 * 86400.0), ("d", 86400.0, float("inf")))
 """Units of a time axis: name, seconds, and the longest log for it."""
 
-FEW = 100
-"""Largest number of rows that are drawn one by one."""
-
+FEW = 100  # largest number of rows that are drawn one by one
 _KINDS = {
     "offset": "offset",
     "sensitivity": "sensitivity",

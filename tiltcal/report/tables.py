@@ -34,17 +34,12 @@ from tiltcal.report.numbers import (
 )
 from tiltcal.report.sentences import as_set
 
-KEPT = 16
-"""Largest number of rows of a table that is kept on one page."""
-
-LONGEST_WORD = 24
-"""Characters of a name that is not broken into lines."""
-
+KEPT = 16  # largest number of rows of a table that is kept on one page
+LONGEST_WORD = 24  # characters of a name that is not broken into lines
 SOURCES = ("noise", "adc", "jig", "table", "thermometer", "assumed")
 """The sources of uncertainty, in the order of their columns; others follow."""
 
-ROUND = "roll"
-"""An angle that wraps from 180° to -180°, so that its mean has no meaning."""
+ROUND = "roll"  # an angle that wraps from 180° to -180°, so that its mean has no meaning
 
 
 class Column(NamedTuple):

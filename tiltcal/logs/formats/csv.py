@@ -32,8 +32,7 @@ if TYPE_CHECKING:
 _BLOCK = 6 << 20
 _LATEST = 8_210_266_876_799_999  # ms since 1970 at the end of the year 262142, where the engine's calendar ends
 _MOST_DROPPED = 1 << 16  # lines between rows whose places are kept, for the line of a row in a message
-_LOSES_ITSELF = r"^\s*[+-]?(?:0\d|\d{16})"
-"""What a number begins with that a double would not give back as it stood."""
+_LOSES_ITSELF = r"^\s*[+-]?(?:0\d|\d{16})"  # what a number begins with that a double would not give back as it stood
 _NO_ROWS = {"empty": "empty", "comment": "comment", "header": "repeated header", "other": "other"}
 """Kinds of line between the rows that are none, in words."""
 

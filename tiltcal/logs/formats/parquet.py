@@ -21,15 +21,9 @@ from tiltcal.logs.streams import read_ahead, refusing
 if TYPE_CHECKING:
     import polars as pl
 
-_ROWS = 1 << 16
-"""Of a block: as many as stay in the cache on their way through the kernel, twice over."""
-
-_ROW_GROUP = 1 << 18
-"""Rows of a written file that are packed together; so many are in memory at once."""
-
-_LEVEL = 1
-"""Of the compression: readings with noise are 2 % larger than at the engine's own level, in half the time."""
-
+_ROWS = 1 << 16  # of a block: as many as stay in the cache on their way through the kernel, twice over
+_ROW_GROUP = 1 << 18  # rows of a written file that are packed together; so many are in memory at once
+_LEVEL = 1  # of the compression: readings with noise are 2 % larger than at the engine's own level, in half the time
 _OF_THE_ENGINE = "ARROW:schema"
 """The key under which a writer keeps the types in its own words; the next one writes its own."""
 
