@@ -18,7 +18,7 @@ import numpy as np
 import tiltcal
 from tiltcal.calibration import stated
 from tiltcal.calibration.combined_session import KINDS, CombinedSession
-from tiltcal.calibration.comparison import compare_records, require_same_sensor, temperature_of
+from tiltcal.calibration.comparison import compare_records, require_same_sensor
 from tiltcal.calibration.record import mounting_in_words, stated_mounting
 from tiltcal.core.directions import common, tilts
 from tiltcal.core.estimation.equations import BASE
@@ -167,7 +167,7 @@ def _design(sessions: Sequence[CombinedSession]) -> Design:
     exact = dict(design.priors)
     for session, (_, stated_here) in zip(by_values, statements, strict=True):
         for name in sorted((session.measured & set(design.names)) - set(stated_here.names)):
-            if name.startswith("offset.") and design.thermal and temperature_of(session.record) is None:
+            if name.startswith("offset.") and design.thermal and session.record.temperature is None:
                 continue  # it is left out
             if any(name in other.measured for other in sessions if other is not session):
                 raise UsageError(
@@ -227,7 +227,7 @@ def _observations(sessions: Sequence[CombinedSession], design: Design) -> list[l
 
 def _notes(sessions: Sequence[CombinedSession], design: Design) -> Iterator[str]:
     for session in sessions:
-        if design.thermal and temperature_of(session.record) is None:
+        if design.thermal and session.record.temperature is None:
             yield f"{session.label} states no temperature: its offset is left out"
         elif session.observed and session.jig is None and design.jig is not None:
             unsaid = f"{session.label} does not state how level it was (--jig)"

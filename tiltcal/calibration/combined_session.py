@@ -9,7 +9,6 @@ from math import hypot, inf
 
 import numpy as np
 
-from tiltcal.calibration.comparison import temperature_of
 from tiltcal.calibration.stated import stated_uncertainty
 from tiltcal.core.estimation.positions import Design, Observation
 from tiltcal.core.model import AXES, Array, Coefficients, values, vector_of
@@ -39,6 +38,10 @@ class CombinedSession:
     def coefficients(self) -> Coefficients:
         return self.record.coefficients
 
+    @property
+    def positions(self) -> tuple[PositionRecord, ...]:
+        return self.record.offset_positions
+
     def named(self, position: str) -> str:
         """Return the name of one of its positions in the combination."""
         return f"{self.label.replace('.yaml', '')}/{position}"
@@ -65,12 +68,6 @@ class CombinedSession:
     def measured(self) -> frozenset[str]:
         """The coefficients that it has, and has not assumed."""
         return frozenset(values(self.coefficients)) - self.assumed
-
-    @cached_property
-    def positions(self) -> tuple[PositionRecord, ...]:
-        """The positions that determined its offset: a level renews it at its own temperature."""
-        own, _, levelled = self.record.runs
-        return levelled or own
 
     @cached_property
     def observed(self) -> bool:
@@ -115,7 +112,7 @@ class CombinedSession:
             own = stated_uncertainty(self.record)[0]
         except EstimateError as failure:
             raise EstimateError((f"{self.label}: ", *failure.words)) from failure
-        at, thermal, axes = temperature_of(self.record), self.coefficients.thermal, self.coefficients.axes
+        at, thermal, axes = self.record.temperature, self.coefficients.thermal, self.coefficients.axes
         fit = self.record.fit
         straight = int(fit.distinct_attitudes is not None and thermal is not None)  # by free positions
         for what in ("drift", "gain") if thermal is not None else ():

@@ -241,7 +241,7 @@ class Comparison:
 def compare_records(old: CalibrationRecord, new: CalibrationRecord) -> Comparison:
     """Compare two calibrations of one sensor; a UsageError names what differs where they are not of one."""
     require_same_sensor(old, new)
-    reference = temperature_of(old if old.coefficients.thermal is None else new)
+    reference = (old if old.coefficients.thermal is None else new).temperature
     steady = {record.coefficients.thermal is None for record in (old, new)}
     unlike = {"offset", "sensitivity"} if len(steady) == 2 and reference is None else set()
     bent = (old.coefficients.nonlinearity is None) != (new.coefficients.nonlinearity is None)
@@ -260,15 +260,6 @@ def compare_records(old: CalibrationRecord, new: CalibrationRecord) -> Compariso
     verdict = judge(compared, incomplete if compared else "no coefficient means the same in both files")
     rest = (values(old.coefficients) | values(new.coefficients)).keys() - {change.name for change in compared}
     return Comparison(new.sensor, compared, verdict, tuple(sorted(rest)))
-
-
-def temperature_of(record: CalibrationRecord) -> float | None:
-    """Return the reference temperature, without a drift the mean of the positions, °C; None where none is stated."""
-    if record.coefficients.thermal is not None:
-        return record.coefficients.thermal.reference
-    own, _, levelled = record.runs
-    met = [position.temperature for position in levelled or own if position.temperature is not None]
-    return float(np.mean(met)) if met else None
 
 
 def _held_shares(record: CalibrationRecord) -> dict[str, Array]:

@@ -21,7 +21,6 @@ import numpy as np
 from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 
-from tiltcal.calibration.comparison import temperature_of
 from tiltcal.calibration.fit import OF_BASE, fit_jointly, observed_sensor, record_of
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement
 from tiltcal.calibration.priors import design_of
@@ -219,7 +218,7 @@ def calibrate_ramp(sensor: MeasuredSensor, procedure: Ramp, bench: BenchUncertai
     stated = procedure.reference
     reference = stated if stated is not None and low <= stated <= high else round((low + high) / 2.0, 1)
     renews = sensor.base is None or sensor.attitude_stated or bench.jig is not None
-    at = None if sensor.base is None else temperature_of(sensor.base)
+    at = None if sensor.base is None else sensor.base.temperature
     if not renews and at is not None and low <= at <= high:
         reference = at
     design = design_of(sensor.sensor, procedure, bench, nominal=sensor.nominal, base=sensor.base)

@@ -13,6 +13,7 @@ from math import radians
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 from msgspec import Meta
 
 from tiltcal.core.angle_readings import AngleReadings
@@ -186,6 +187,20 @@ class CalibrationRecord:
         mounted, levelled = (0 if run is None else len(run.positions) for run in completing)
         first, second = len(self.positions) - mounted - levelled, len(self.positions) - levelled
         return self.positions[:first], self.positions[first:second], self.positions[second:]
+
+    @property
+    def offset_positions(self) -> tuple[PositionRecord, ...]:
+        """The positions that determined its offset: a level renews it at its own temperature."""
+        own, _, levelled = self.runs
+        return levelled or own
+
+    @property
+    def temperature(self) -> float | None:
+        """The reference temperature, without a drift the mean of its positions, °C; None where none is stated."""
+        if self.coefficients.thermal is not None:
+            return self.coefficients.thermal.reference
+        met = [position.temperature for position in self.offset_positions if position.temperature is not None]
+        return float(np.mean(met)) if met else None
 
     def positions_with(
         self, *, mounting: Sequence[PositionRecord] | None = None, level: Sequence[PositionRecord] | None = None

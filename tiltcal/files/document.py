@@ -2,7 +2,7 @@
 
 The type of a record decides what a scalar means. msgspec converts a sound document at once. Where it refuses one, the
 data are taken part by part, which finds the place, also in a mapping with free keys, and converts what YAML allows and
-msgspec does not: numbers such as ``.5`` or ``0x1d``, keys by their former names, and optional keys that hold nothing.
+msgspec does not: numbers such as ``.5`` or ``0x1d``, and optional keys that hold nothing.
 """
 
 from __future__ import annotations
