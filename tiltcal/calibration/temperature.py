@@ -243,8 +243,7 @@ def calibrate_ramp(sensor: MeasuredSensor, procedure: Ramp, bench: BenchUncertai
                 f"no attitude is stated (--segments, --jig): the base keeps its offset, by which up was ({up}) g"
             )
     groups = _groups(fit, record, attitude)
-    gain = _gain_of(sensor, reference)
-    estimate = _estimate(fit, design, np.array(attitude.gravity), limits, groups, bench, gain, known)
+    estimate = _estimate(fit, design, groups, _gain_of(sensor, reference), known)
     estimate = replace(estimate, notes=(*estimate.notes, *notes))
     made = record_of(estimate, design, replace(sensor, measurements=groups), procedure)
     coefficients, standard = made.coefficients, made.uncertainty.standard
@@ -340,38 +339,31 @@ def _range(temperatures: Array, step: float = 0.0) -> tuple[float, float]:
 
 
 def _estimate(
-    fit: RampFit,
-    design: Design,
-    gravity: Array,
-    limits: tuple[float, float],
-    groups: Sequence[Measurement],
-    bench: BenchUncertainty,
-    gain: Array | float,
-    known: CalibrationRecord | None,
+    fit: RampFit, design: Design, groups: Sequence[Measurement], gain: Array | float, known: CalibrationRecord | None
 ) -> Estimate:
     """Return the coefficients that the record shows, and those that stand in, with their covariance.
 
     ``known`` is the base whose offset stays; ``gain`` the size of the sensitivity's temperature coefficient, 1/°C.
     """
-    channels = design.channels
+    channels, up = design.channels, np.array(groups[0].gravity)
     coefficients = Coefficients(
         channels,
         design.axes,
         np.zeros(len(channels)),
         np.array([[channel == axis for axis in design.axes] for channel in channels], dtype=float),
-        Thermal(design.reference, limits, fit.coefficients[:, 1:].copy(), np.zeros((len(channels), 0))),
+        Thermal(design.reference, None, fit.coefficients[:, 1:].copy(), np.zeros((len(channels), 0))),
         nonlinearity=np.zeros((len(channels), design.nonlinearity)) if design.nonlinearity else None,
         angles=design.angles,
     )
     stands_in = {name: prior.value for name, prior in design.priors.items()}
     coefficients = with_vector(coefficients, list(stands_in), np.array(list(stands_in.values())))
-    offset = fit.coefficients[:, 0] - coefficients.predict(gravity[None, :])[0]
+    offset = fit.coefficients[:, 0] - coefficients.predict(up[None, :])[0]
     coefficients = replace(coefficients, offset=offset if known is None else known.coefficients.offset)
     by_model = fit.means.powers(fit.lag, fit.order) @ fit.coefficients.T
     modelled = np.array([by_model[part].mean(axis=0) for _, part in _parts(fit)])
     return Estimate(
         coefficients=coefficients,
-        uncertain=reduce(add, _sources(fit, design, coefficients, gravity, bench, gain, known)),
+        uncertain=reduce(add, _sources(fit, design, coefficients, up, gain, known)),
         positions=tuple(group.position for group in groups),
         residuals=np.array([[group.summaries[c].mean for c in channels] for group in groups]) - modelled,
         dof=max(len(fit.means.leg) - fit.order - 1, 0) * len(channels),
@@ -386,8 +378,7 @@ def _sources(
     fit: RampFit,
     design: Design,
     coefficients: Coefficients,
-    gravity: Array,
-    bench: BenchUncertainty,
+    up: Array,
     gain: Array | float,
     known: CalibrationRecord | None,
 ) -> Iterator[Uncertain]:
@@ -407,9 +398,9 @@ def _sources(
     yield errors(NOISE, by_record, fit.covariance)
     if fit.loop_covariance.any():
         yield errors(HYSTERESIS, by_record, fit.loop_covariance)
-    readings = coefficients.read(gravity[None, :])
+    readings = coefficients.read(up[None, :])
     slope = np.stack([column[f"temperature.offset.{channel}.1"] for channel in design.channels], axis=1)
-    signal = coefficients.predict(gravity[None, :])[0] - coefficients.offset
+    signal = coefficients.predict(up[None, :])[0] - coefficients.offset
     yield errors(PRIOR, slope, np.diag((gain * signal) ** 2))
     if known is not None:
         base = known.uncertain.without("temperature.", TURN)
@@ -424,13 +415,13 @@ def _sources(
     ]
     if stands_in:
         yield errors(PRIOR, np.stack(stands_in, axis=1), np.eye(len(stands_in)))
-    across = np.array([np.cross(gravity, reading.by_gravity[0]) for reading in readings])
+    across = np.array([np.cross(up, reading.by_gravity[0]) for reading in readings])
     for source, u in ((JIG, design.jig), (TABLE, design.table_lean)):
         if u and u < inf:
             yield errors(source, offsets @ across, radians(u) ** 2 * np.eye(3))
-    if bench.thermometer:
+    if design.thermometer:
         slopes = np.pad(fit.coefficients[:, 1:] * np.arange(1, fit.order + 1), ((0, 0), (0, 1)))
-        yield errors(THERMOMETER, by_record @ slopes.reshape(-1, 1), np.eye(1) * bench.thermometer**2)
+        yield errors(THERMOMETER, by_record @ slopes.reshape(-1, 1), np.eye(1) * design.thermometer**2)
 
 
 def _parts(fit: RampFit) -> Iterator[tuple[str, NDArray[np.intp]]]:
