@@ -20,7 +20,7 @@ from tiltcal.export.c_integers import Integers
 from tiltcal.export.loss import Formula, calibrated_range, largest_error
 from tiltcal.export.python_module import FORMULA, module, numbers
 from tiltcal.files.calibration import CalibrationRecord
-from tiltcal.files.coefficients import coefficients_section
+from tiltcal.files.coefficients import CoefficientsSection
 from tiltcal.files.record import plain
 
 STANDARD_GRAVITY = 9.80665  # m/s²
@@ -232,7 +232,7 @@ def _json(source: Source) -> Export:
 
     if source.record.sensor.reads is not None:
         about["reads"] = source.record.sensor.reads
-    thermal = coefficients_section(source.coefficients).temperature
+    thermal = CoefficientsSection.of(source.coefficients).temperature
     of = {"offset": plain(thermal.offset), "sensitivity": plain(thermal.sensitivity)} if thermal is not None else {}
     drift = {"drift": of, "reference": None if thermal is None else thermal.reference}
 

@@ -22,16 +22,7 @@ from tiltcal.core.directions import tilts
 from tiltcal.core.model import Coefficients, Limits, Mounting, values
 from tiltcal.core.uncertain import Uncertain, uncertain_at
 from tiltcal.drivers.model import SLOPES
-from tiltcal.files.coefficients import (
-    CoefficientsSection,
-    Uncertainty,
-    UncertaintySection,
-    coefficients_of,
-    coefficients_section,
-    in_degrees,
-    uncertainty_of,
-    uncertainty_section,
-)
+from tiltcal.files.coefficients import CoefficientsSection, Uncertainty, UncertaintySection, in_degrees
 from tiltcal.files.device import DeviceFile
 from tiltcal.files.document import Document, parse_document, read_document
 from tiltcal.files.record import Axis, ByAxis, Range, Record, Text, about, file_data, one_of
@@ -97,6 +88,39 @@ class LimitsSection(Record, kw_only=True):
     temperature: Annotated[Range | None, about("`[low, high]`, °C")] = None
     reading: Annotated[Range | ByAxis[Range], about("the rails `[low, high]` per channel, or for all, unit")] = {}
 
+    def checked(self, place: Document, axes: Sequence[str], channels: Sequence[str]) -> Limits:
+        """Return the limits, angles in radians; an InputError where they contradict the axes or the channels."""
+        place.require_order(self.temperature, "temperature")
+        tilt, directions = _by_name(self.tilt, axes, place, "tilt"), self.directions
+        reach = {axis: (radians(low), radians(high)) for axis, (low, high) in tilt.items()}
+        if directions is not None:
+            if tilt or len(channels) < 3:
+                raise place.error("directions are of three axes, in place of tilt: leave one out", "directions")
+            directions = directions if isinstance(directions, str) else tuple(map(normalised, directions))
+            reach = tilts(directions)
+        reading = _by_name(self.reading, channels, place, "reading")
+        return Limits(reach, self.temperature, reading, directions=directions)
+
+    @classmethod
+    def of(cls, limits: Limits) -> LimitsSection:
+        """Return the section of a file."""
+        ranges = limits.tilt.items() if limits.directions is None else ()
+        tilt = {axis: (in_degrees(low), in_degrees(high)) for axis, (low, high) in ranges}
+        return cls(directions=limits.directions, tilt=tilt, temperature=limits.temperature, reading=limits.reading)
+
+
+def _by_name(
+    ranges: tuple[float, float] | Mapping[str, tuple[float, float]], names: Sequence[str], place: Document, key: str
+) -> dict[str, tuple[float, float]]:
+    """Return a range for each of the names, which one may state for all."""
+    if not isinstance(ranges, Mapping):
+        place.require_order(ranges, key)
+        return dict.fromkeys(names, ranges)
+    place.require_keys(ranges, names, key)
+    for name, interval in ranges.items():
+        place.require_order(interval, key, name)
+    return dict(ranges)
+
 
 class TiltFile(Record, kw_only=True):
     """The content of a calibration file as it stands there."""
@@ -149,16 +173,11 @@ class CalibrationRecord:
     @property
     def text(self) -> str:
         """The text of its file, its numbers as they are: round them before."""
-        limits = self.limits
-        ranges = limits.tilt.items() if limits.directions is None else ()
-        tilt = {axis: (in_degrees(low), in_degrees(high)) for axis, (low, high) in ranges}
         file = TiltFile(
             sensor=self.sensor,
-            calibration=coefficients_section(self.coefficients),
-            uncertainty=uncertainty_section(self.uncertainty),
-            limits=LimitsSection(
-                directions=limits.directions, tilt=tilt, temperature=limits.temperature, reading=limits.reading
-            ),
+            calibration=CoefficientsSection.of(self.coefficients),
+            uncertainty=UncertaintySection.of(self.uncertainty),
+            limits=LimitsSection.of(self.limits),
             **{name: getattr(self, name) for name in RECORDS},
         )
         return yaml_text(file_data("tilt", file), _comments(self.sensor))
@@ -217,8 +236,8 @@ def tilt_record(document: Document) -> CalibrationRecord:
     channels = file.sensor.channels
     if not channels or len(set(channels)) < len(channels):
         raise document.error("channels are one to three different ones of x, y, z", "sensor", "channels")
-    coefficients = coefficients_of(file.calibration, document.at("calibration"), channels, file.sensor.angle_readings)
-    uncertainty = uncertainty_of(file.uncertainty, document.at("uncertainty"), coefficients)
+    coefficients = file.calibration.checked(document.at("calibration"), channels, file.sensor.angle_readings)
+    uncertainty = file.uncertainty.checked(document.at("uncertainty"), coefficients)
     for key in ("budget", "priors"):
         document.require_keys(getattr(file.fit, key), list(values(coefficients)), "fit", key)
     for number, leg in enumerate(file.fit.ramp.legs if file.fit.ramp else ()):
@@ -233,41 +252,15 @@ def tilt_record(document: Document) -> CalibrationRecord:
             f"{len(file.positions)} positions, and a mounting and a level name {completing}", "positions"
         )
     document.at("provenance").require_moments(file.provenance, "started", "ended")
-    limits = document.at("limits")
-    limits.require_order(file.limits.temperature, "temperature")
     # A third column of a two-channel sensor is no axis whose tilt is reported.
-    tilt = _by_name(file.limits.tilt, coefficients.axes[: len(channels)], limits, "tilt")
-    reach, directions = {axis: (radians(a), radians(b)) for axis, (a, b) in tilt.items()}, file.limits.directions
-    if directions is not None and (tilt or len(channels) < 3):
-        raise limits.error("directions are of three axes, in place of tilt: leave one out", "directions")
-    if directions is not None:
-        directions = directions if isinstance(directions, str) else tuple(map(normalised, directions))
-        reach = tilts(directions)
+    axes = coefficients.axes[: len(channels)]
     return CalibrationRecord(
         sensor=file.sensor,
         coefficients=coefficients,
         uncertainty=uncertainty,
-        limits=Limits(
-            reach,
-            file.limits.temperature,
-            _by_name(file.limits.reading, channels, limits, "reading"),
-            directions=directions,
-        ),
+        limits=file.limits.checked(document.at("limits"), axes, channels),
         **{name: getattr(file, name) for name in RECORDS},
     )
-
-
-def _by_name(
-    ranges: tuple[float, float] | Mapping[str, tuple[float, float]], names: Sequence[str], place: Document, key: str
-) -> dict[str, tuple[float, float]]:
-    """Return a range for each of the names, which one may state for all."""
-    if not isinstance(ranges, Mapping):
-        place.require_order(ranges, key)
-        return dict.fromkeys(names, ranges)
-    place.require_keys(ranges, names, key)
-    for name, interval in ranges.items():
-        place.require_order(interval, key, name)
-    return dict(ranges)
 
 
 def read_calibration(path: str | Path) -> CalibrationRecord:

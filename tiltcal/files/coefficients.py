@@ -49,6 +49,11 @@ class ThermalSection(Record, kw_only=True):
     sensitivity: Annotated[Polynomials, about("per channel the coefficients of dT, dT², …, 1/°C, 1/°C², …")] = {}
     lag: Annotated[Finite, about("of the sensing element behind the thermometer, s; negative if ahead")] = 0.0
 
+    def of_channels(self, channels: Sequence[str]) -> Thermal:
+        """Return the terms of all channels."""
+        drift, gain = _padded(self.offset, channels), _padded(self.sensitivity, channels)
+        return Thermal(self.reference, self.range, drift, gain, self.lag)
+
 
 class MountingSection(Record, kw_only=True):
     """``calibration.mounting`` as it stands in a file."""
@@ -74,49 +79,41 @@ class CoefficientsSection(Record, kw_only=True):
     temperature: Annotated[ThermalSection | None, about("absent where it was not measured")] = None
     mounting: Annotated[MountingSection | None, about("how the sensor sits in its application")] = None
 
+    def checked(self, place: Document, channels: tuple[str, ...], angles: AngleReadings | None = None) -> Coefficients:
+        """Return the coefficients; an InputError where they contradict the channels or cannot be inverted."""
+        thermal, mounting, bent = self.temperature, self.mounting, self.nonlinearity
+        place.require_keys(self.offset, channels, "offset", complete=True)
+        axes, sensitivity = _matrix(self.sensitivity, place, channels)
+        if bent is not None:
+            place.require_keys(bent, channels, "nonlinearity", complete=True)
+        if thermal is not None:
+            for key in ("offset", "sensitivity"):
+                if curves := getattr(thermal, key):
+                    place.require_keys(curves, channels, "temperature", key, complete=True)
+            place.require_order(thermal.range, "temperature", "range")
+        return Coefficients(
+            channels,
+            axes,
+            np.array([self.offset[channel] for channel in channels]),
+            sensitivity,
+            None if thermal is None else thermal.of_channels(channels),
+            None if mounting is None else Mounting(*(radians(getattr(mounting, name)) for name in ANGLES)),
+            None if bent is None else _nonlinearity(bent, place, channels, axes),
+            angles,
+        )
 
-def coefficients_of(
-    section: CoefficientsSection, place: Document, channels: tuple[str, ...], angles: AngleReadings | None = None
-) -> Coefficients:
-    """Return the coefficients of a section; an InputError where they contradict the channels or cannot be inverted."""
-    thermal, mounting, bent = section.temperature, section.mounting, section.nonlinearity
-    place.require_keys(section.offset, channels, "offset", complete=True)
-    axes, sensitivity = _matrix(section.sensitivity, place, channels)
-    if bent is not None:
-        place.require_keys(bent, channels, "nonlinearity", complete=True)
-    if thermal is not None:
-        for key in ("offset", "sensitivity"):
-            if curves := getattr(thermal, key):
-                place.require_keys(curves, channels, "temperature", key, complete=True)
-        place.require_order(thermal.range, "temperature", "range")
-    return Coefficients(
-        channels,
-        axes,
-        np.array([section.offset[channel] for channel in channels]),
-        sensitivity,
-        None if thermal is None else _thermal(thermal, channels),
-        None if mounting is None else Mounting(*(radians(getattr(mounting, name)) for name in ANGLES)),
-        None if bent is None else _nonlinearity(bent, place, channels, axes),
-        angles,
-    )
-
-
-def _thermal(section: ThermalSection, channels: Sequence[str]) -> Thermal:
-    drift, gain = _padded(section.offset, channels), _padded(section.sensitivity, channels)
-    return Thermal(section.reference, section.range, drift, gain, section.lag)
-
-
-def coefficients_section(coefficients: Coefficients) -> CoefficientsSection:
-    """Return the section of a file."""
-    shaped, thermal, mounting = _shaped(values(coefficients)), coefficients.thermal, coefficients.mounting
-    warm = shaped.pop(TEMPERATURE)
-    if thermal is not None:
-        warm |= {"reference": float(thermal.reference), "lag": float(thermal.lag)}
-        warm["range"] = thermal.range and (float(thermal.range[0]), float(thermal.range[1]))
-    if mounting is not None:
-        shaped["mounting"] = MountingSection(**{name: in_degrees(getattr(mounting, name)) for name in ANGLES})
-    shaped = {key: section for key, section in shaped.items() if section}
-    return CoefficientsSection(**shaped, temperature=ThermalSection(**warm) if thermal is not None else None)
+    @classmethod
+    def of(cls, coefficients: Coefficients) -> CoefficientsSection:
+        """Return the section of a file."""
+        shaped, thermal, mounting = _shaped(values(coefficients)), coefficients.thermal, coefficients.mounting
+        warm = shaped.pop(TEMPERATURE)
+        if thermal is not None:
+            warm |= {"reference": float(thermal.reference), "lag": float(thermal.lag)}
+            warm["range"] = thermal.range and (float(thermal.range[0]), float(thermal.range[1]))
+        if mounting is not None:
+            shaped["mounting"] = MountingSection(**{name: in_degrees(getattr(mounting, name)) for name in ANGLES})
+        shaped = {key: section for key, section in shaped.items() if section}
+        return cls(**shaped, temperature=ThermalSection(**warm) if thermal is not None else None)
 
 
 def in_degrees(angle: float) -> float:
@@ -334,40 +331,35 @@ class UncertaintySection(Record, kw_only=True):
     coverage_factor: Annotated[Mapping[str, AboveZero], about("for 95 %; 1.96 where none is named")] = {}
     covariance: Annotated[Covariance | None, about("the covariance of the coefficients")] = None
 
+    def checked(self, place: Document, coefficients: Coefficients) -> Uncertainty:
+        """Return it with its standard uncertainties by dotted name; an InputError where it contradicts the rest."""
+        channels, known = coefficients.channels, [*values(coefficients), *TURNS]
+        for key in ("offset", "sensitivity", "nonlinearity"):
+            place.require_keys(getattr(self, key), channels, key)
+            if key != "nonlinearity" and self.temperature is not None:
+                place.require_keys(getattr(self.temperature, key), channels, TEMPERATURE, key)
+        for channel, row in self.sensitivity.items():
+            place.require_keys(row, coefficients.axes, "sensitivity", channel)
+        place.require_keys(self.single_reading, (*channels, TEMPERATURE), "single_reading")
+        standard = dict(_named({key: value for key, value in plain(self).items() if key in SHAPED}))
+        place.require_keys(self.coverage_factor, [*known, *standard], "coverage_factor")
+        covariance = self.covariance
+        if covariance is not None:
+            _check_covariance(covariance, place.at("covariance"), known)
+            for name, u in zip(covariance.parameters, np.sqrt(np.diag(covariance.as_array())).tolist(), strict=True):
+                if not isclose(standard.get(name, u), u, rel_tol=_ROUNDED):
+                    why = f"the variance of {name} is that of a standard uncertainty of {u:.4g}, and {standard[name]:g}"
+                    raise place.error(f"{why} is stated: change both, or leave the covariance out", "covariance")
+        return Uncertainty(standard, self.single_reading, self.coverage_factor, covariance, self.alignment)
 
-def uncertainty_of(section: UncertaintySection, place: Document, coefficients: Coefficients) -> Uncertainty:
-    """Return a section with its standard uncertainties by dotted name; an InputError where it contradicts the rest."""
-    channels, known = coefficients.channels, [*values(coefficients), *TURNS]
-    for key in ("offset", "sensitivity", "nonlinearity"):
-        place.require_keys(getattr(section, key), channels, key)
-        if key != "nonlinearity" and section.temperature is not None:
-            place.require_keys(getattr(section.temperature, key), channels, TEMPERATURE, key)
-    for channel, row in section.sensitivity.items():
-        place.require_keys(row, coefficients.axes, "sensitivity", channel)
-    place.require_keys(section.single_reading, (*channels, TEMPERATURE), "single_reading")
-    standard = dict(_named({key: value for key, value in plain(section).items() if key in SHAPED}))
-    place.require_keys(section.coverage_factor, [*known, *standard], "coverage_factor")
-    covariance = section.covariance
-    if covariance is not None:
-        _check_covariance(covariance, place.at("covariance"), known)
-        for name, u in zip(covariance.parameters, np.sqrt(np.diag(covariance.as_array())).tolist(), strict=True):
-            if not isclose(standard.get(name, u), u, rel_tol=_ROUNDED):
-                raise place.error(
-                    f"the variance of {name} is that of a standard uncertainty of {u:.4g}, and {standard[name]:g} is "
-                    "stated: change both, or leave the covariance out",
-                    "covariance",
-                )
-    return Uncertainty(standard, section.single_reading, section.coverage_factor, covariance, section.alignment)
-
-
-def uncertainty_section(uncertainty: Uncertainty) -> UncertaintySection:
-    """Return the uncertainty in the shape of ``calibration``."""
-    shaped = _shaped(uncertainty)
-    warm = shaped.pop(TEMPERATURE)
-    rest = {
-        name: getattr(uncertainty, name) for name in ("single_reading", "coverage_factor", "covariance", "alignment")
-    }
-    return UncertaintySection(**shaped, **rest, temperature=ThermalUncertainty(**warm) if warm else None)
+    @classmethod
+    def of(cls, uncertainty: Uncertainty) -> UncertaintySection:
+        """Return an uncertainty in the shape of ``calibration``."""
+        shaped = _shaped(uncertainty)
+        warm = shaped.pop(TEMPERATURE)
+        names = ("single_reading", "coverage_factor", "covariance", "alignment")
+        rest = {name: getattr(uncertainty, name) for name in names}
+        return cls(**shaped, **rest, temperature=ThermalUncertainty(**warm) if warm else None)
 
 
 def _shaped(named: Mapping[str, float]) -> dict[str, Any]:
