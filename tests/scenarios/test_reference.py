@@ -2,6 +2,7 @@
 
 import json
 import re
+from math import radians, sin
 from pathlib import Path
 from typing import Any
 
@@ -52,6 +53,15 @@ def test_no_angle_is_stated_and_the_reference_says_which(tmp_path: Path) -> None
     assert "one error each for the whole session" in done.stderr
     replayed = tiltcal("replay", "bench.journal.jsonl", "--golden", ".", cwd=tmp_path)
     assert replayed.returncode == 0, replayed.stderr
+    options = ("--samples", "20", "--settle", "0.1", "--limit", "0.3", "--json")
+    judged = tiltcal("verify", "S-1.yaml", "--bench", "bench.yaml", "--operator", "sim", *options, cwd=tmp_path)
+    assert judged.returncode == 0, judged.stderr
+    for one in json.loads(judged.stdout)["positions"]:
+        tilts = {axis: abs(angle) for axis, angle in one["expected"].items()}
+        assert all(angle % 10.0 for angle in tilts.values())  # as the reference read it, not as it was asked for
+        assert one["error"] < 0.02
+        # Its alignment of 0.3° moves the tilt of an axis by 0.3° times the sine of the other's, and is most of it.
+        assert one["expanded"] == pytest.approx(1.96 * 0.3 * sin(radians(max(tilts.values()))), rel=0.2, abs=0.03)
     header = json.loads((tmp_path / "bench.journal.jsonl").read_text().splitlines()[0])
     assert header["reference"]["zero"] == 0.0025
     planned = tiltcal("plan", "comparison", "--bench", "bench.yaml", "--sensor", "sca100t-d02", cwd=tmp_path)

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from tiltcal.calibration.measurement import Measurement
+from tiltcal.calibration.measurement import BenchUncertainty, Measurement
 from tiltcal.calibration.record import compensation_of
 from tiltcal.core.attitude import tilt_from_gravity
 from tiltcal.core.model import AXES
@@ -24,6 +24,7 @@ from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
 PASSED, FAILED, UNDECIDED = "passed", "failed", "not decided"
 
 LIMIT = 0.5  # the largest tilt error that passes where none is stated, degrees
+EXACT = BenchUncertainty()  # positions count as exact where nothing is stated of the bench
 STEEP = cos(radians(89.0))  # the slope of an arcsine is followed up to this far from level
 
 ANGLE, DIRECTION = 1.959964, 2.447747
@@ -92,15 +93,22 @@ class Verification:
 
 
 def verify(
-    calibration: CalibrationRecord, measurements: Sequence[Measurement], limit: float = LIMIT, jig: float | None = None
+    calibration: CalibrationRecord,
+    measurements: Sequence[Measurement],
+    limit: float = LIMIT,
+    bench: BenchUncertainty = EXACT,
 ) -> Verification:
-    """Judge how a calibration reads the positions of its sensor; ``jig`` is that of a set angle, degrees."""
+    """Judge how a calibration reads the positions of its sensor, set with the jig or the reference of a bench."""
     coefficients = calibration.coefficients
     # What is judged is the sensor's own frame, in which positions are set; the mounting is the application's.
     compensation = compensation_of(replace(calibration, coefficients=replace(coefficients, mounting=None)))
     axes, whole = compensation.axes, len(compensation.axes) == 3
     found = []
-    for measurement in measurements:
+    attitudes = np.array([measurement.gravity for measurement in measurements])
+    errors_of_reference = np.zeros((*attitudes.shape, 1))
+    if bench.instrument is not None:
+        errors_of_reference = bench.instrument.moves(attitudes, np.arange(len(attitudes)))
+    for measurement, moves in zip(measurements, np.linalg.norm(errors_of_reference, axis=2), strict=True):
         temperature = None if measurement.temperature is None else np.array([measurement.temperature])
         readings = np.array([[measurement.summaries[channel].mean for channel in coefficients.channels]])
         result, up = compensation(readings, temperature), measurement.gravity
@@ -119,10 +127,12 @@ def verify(
             u = summary.u if angles is None else summary.u * float(angles.steepness(np.array(summary.mean)))
             noise.append(degrees(u / abs(coefficients.own_sensitivity(channel)) / slope))
         error = inf if any(map(isnan, errors)) else max(errors)
-        expanded = (DIRECTION if whole else ANGLE) * hypot(jig or 0.0, max(noise))
+        along = [float(moves[AXES.index(axis)]) / max(sqrt(1.0 - up[AXES.index(axis)] ** 2), STEEP) for axis in axes]
+        shared = degrees(hypot(*moves) if whole else max(along))
+        expanded = (DIRECTION if whole else ANGLE) * hypot(bench.jig or 0.0, shared, max(noise))
         flag = int(result.flag[0])
         found.append(VerifiedPosition(measurement.position, expected, measured, error, expanded, flag))
-    return Verification(calibration.sensor, tuple(found), limit, jig)
+    return Verification(calibration.sensor, tuple(found), limit, bench.jig)
 
 
 def _loud(verdict: str) -> str:

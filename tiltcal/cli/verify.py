@@ -13,13 +13,15 @@ from tiltcal.bench.measure import led_by
 from tiltcal.bench.messages import Done, Results
 from tiltcal.bench.options import MeasureOptions
 from tiltcal.bench.session import Session
-from tiltcal.bench.setup import free_journal, new_setup, single
+from tiltcal.bench.setup import free_journal, known_bench, new_setup, require_trusted, single
 from tiltcal.calibration.verification import LIMIT, PASSED
 from tiltcal.cli import options
 from tiltcal.cli.config import defaults_here
 from tiltcal.cli.talk import remark
 from tiltcal.errors import NEGATIVE_VERDICT, UsageError
+from tiltcal.files.bench import BenchFile
 from tiltcal.files.calibration import CalibrationRecord, read_calibration
+from tiltcal.files.document import read_document
 from tiltcal.files.procedure import find_procedure
 from tiltcal.library.afterwards import verified
 from tiltcal.library.measure import resumed
@@ -42,6 +44,9 @@ from tiltcal.stated_arguments import require_from_zero
     metavar="DEGREES",
     help="Standard uncertainty of a set angle. Not stated, the positions count as exact.",
 )
+@click.option(
+    "--bench", metavar="FILE", help="A bench file with the sensor: its address, jig, thermometer and reference."
+)
 @options.declared(MeasureOptions, "python tilt samples settle resume journal operator plain hands_free listen")
 @click.option("--json", "as_json", is_flag=True, help="Print a JSON object after the session, as with --operator json.")
 def command(
@@ -57,15 +62,16 @@ def command(
     judged, stated = read_calibration(calibration), complete(MeasureOptions, given)
     if resume is not None:
         named = {"--procedure": None if options.left_at_default("procedure") else procedure}
-        named |= {f"--{name}": given[name] for name in ("address", "jig", "tilt", "samples", "settle", "journal")}
+        named |= {
+            f"--{name}": given[name] for name in ["address", "bench", "jig", "tilt", "samples", "settle", "journal"]
+        }
         session = resumed(Path(resume), None, named, remark, stated["python"], verifies=True)
-    elif stated["address"] is None:
-        raise UsageError("verify needs --address, where the sensor is connected (or --resume JOURNAL)")
+    elif stated["address"] is None and stated["bench"] is None:
+        raise UsageError("verify needs --address or --bench, where the sensor is connected (or --resume JOURNAL)")
     else:
         beside = calibration.with_name(f"{calibration.stem}.verify.yaml")
         path = Path(stated["journal"]) if stated["journal"] else free_journal(beside, remark)
-        sensor, device = judged.sensor, judged.device
-        bench = single(sensor.model, sensor.serial, stated["address"], stated["jig"], device)
+        bench = _bench_of(judged, stated).with_stated(jig=stated["jig"])
         bench = defaults_here().completing(bench, "operator", "references", "jig")
         steps = find_procedure(procedure, stated["tilt"]).in_positions().verifying()
         setup = new_setup(
@@ -94,6 +100,20 @@ def command(
     as_json = as_json or operator == "json"
     options.print_judged(options.json_text(verification.as_data()) if as_json else str(verification))
     return 0 if verification.verdict == PASSED else NEGATIVE_VERDICT
+
+
+def _bench_of(judged: CalibrationRecord, stated: MeasureOptions) -> BenchFile:
+    """Return the bench of the sensor of a calibration: of a bench file the sensor of its serial number alone."""
+    sensor, address = judged.sensor, stated["address"]
+    if stated["bench"] is None:
+        return single(sensor.model, sensor.serial, str(address), device=judged.device)
+    file = str(stated["bench"])
+    bench = known_bench(read_document(file))
+    require_trusted(bench, file, stated["python"])
+    own = [one for one in bench.sensors if one.serial == sensor.serial]
+    if not own:
+        raise UsageError(f"{file} has no sensor {sensor.serial}, which the calibration is of")
+    return bench.replaced(sensors=tuple(one.replaced(address=address or one.address) for one in own))
 
 
 def _require_sensor(session: Session, judged: CalibrationRecord, calibration: Path) -> None:

@@ -12,6 +12,7 @@ from tiltcal.bench.messages import Live, Refused, Report, Results
 from tiltcal.bench.operators import LOOK, Operator
 from tiltcal.bench.session import Session
 from tiltcal.bench.setup import free_journal, new_setup
+from tiltcal.calibration.measurement import BenchUncertainty
 from tiltcal.calibration.tilt_uncertainty import stated_half_widths, tilt_lines
 from tiltcal.calibration.verification import LIMIT, Verification, verify
 from tiltcal.errors import HardwareError, TiltcalError
@@ -19,6 +20,7 @@ from tiltcal.files.bench import BenchFile, BenchSensor, BenchThermometer
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.procedure import find_procedure
 from tiltcal.journal.lines import read_journal
+from tiltcal.journal.reference import uncertainty_with
 from tiltcal.journal.session import positions_of
 from tiltcal.library.calibration import Calibration, PairCalibration
 
@@ -29,9 +31,10 @@ def verified(
     """Measure the positions of a session, and judge how calibrations by serial number read them."""
     session.judged = calibrations
     run_session(session, operator)
-    results, jig = positions_of(read_journal(session.files.journal)).results(), session.setup.settings.jig
+    results = positions_of(read_journal(session.files.journal)).results()
+    bench = uncertainty_with(session.setup.reference, BenchUncertainty(session.setup.settings.jig))
     return {
-        serial: verify(record, [result.measurements[serial] for result in results], limit, jig)
+        serial: verify(record, [result.measurements[serial] for result in results], limit, bench)
         for serial, record in calibrations.items()
     }
 

@@ -399,8 +399,8 @@ def _results(
             remark(changes_in_words(calibration.record))
     if result is not None:
         file = quote(str(session.files.outputs[calibrations[0].sensor.serial]))
-        address = quote(setup.sensors[0].address)
-        remark(f"next: tiltcal verify {file} --address {address}, then tiltcal apply {file} LOG.csv -o TILT.csv")
+        where = "--bench BENCH.yaml" if setup.reference else f"--address {quote(setup.sensors[0].address)}"
+        remark(f"next: tiltcal verify {file} {where}, then tiltcal apply {file} LOG.csv -o TILT.csv")
         remark(f"      or tiltcal export {file} --to c -o tilt.h")
     return calibrations[0] if len(setup.sensors) == 1 else calibrations
 

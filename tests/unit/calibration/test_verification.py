@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from support.measured import mean_of, measured
 
+from tiltcal.calibration.measurement import BenchUncertainty
 from tiltcal.calibration.verification import Verification, VerifiedPosition, verify
 from tiltcal.core.model import Coefficients, Thermal
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
@@ -25,7 +26,7 @@ def verified(rng: np.random.Generator, jig: float, stated: float | None = None) 
         rng,
         0.06,
     )
-    return verify(PERFECT, positions, 0.3, stated)
+    return verify(PERFECT, positions, 0.3, BenchUncertainty(stated))
 
 
 def test_a_perfect_part_does_not_fail_for_its_jig() -> None:
