@@ -105,7 +105,7 @@ def test_mavs_through_firmware_and_driver(board: Board, centred: bool, tmp_path:
         session = lead(
             *("measure", "mavs", "--sensor", "adxl202", "--serial", "A-1005"),
             *("--address", f"serial://{running.path}?baudrate=115200", "--jig", "0.001"),
-            *("--settle", "0.2", "--samples", "40", "-o", "A-1005.yaml"),
+            *("--settle", "0.1", "--samples", "40", "-o", "A-1005.yaml"),
             cwd=tmp_path,
             answer=pose,
         )

@@ -53,20 +53,9 @@ def test_the_dialogue_is_the_contract(tmp_path: Path) -> None:
 
 def test_a_program_is_told_how_far_three_axes_are_off(tmp_path: Path) -> None:
     """The virtual jig is exact: what the first face shows is the offset of the part, some degrees at most."""
-    options = (
-        "--sensor",
-        "adxl345",
-        "--address",
-        "sim:?seed=3",
-        "--serial",
-        "S-1",
-        "-o",
-        "S-1.yaml",
-        "--samples",
-        "10",
-    )
+    options = "--sensor adxl345 --address sim:?seed=3 --serial S-1 -o S-1.yaml --samples 10"
     led = lead(
-        *("measure", "six-face", *options),
+        *("measure", "six-face", *options.split()),
         cwd=tmp_path,
         answer=lambda message: {"answer": "ready"} if "ask" in message else None,
     )
@@ -91,7 +80,7 @@ def test_the_angle_actually_set_counts(tmp_path: Path) -> None:
 def test_a_program_is_told_once_a_minute_what_is_waited_for(tmp_path: Path) -> None:
     """The chamber takes its time to 5.5 °C by the bench's clock, which is virtual."""
     twin = (FIXTURES / "twins" / "sca100t-d02.yaml").read_text()
-    (tmp_path / "slow.yaml").write_text(twin.replace("time_constant: 0.1", "time_constant: 200.0"))
+    (tmp_path / "slow.yaml").write_text(twin.replace("time_constant: 0.1", "time_constant: 60.0"))
     options = ("--sensor", "sca100t-d02", "--address", "sim:?twin=slow.yaml", "--serial", "S-1", "-o", "S-1.yaml")
     led = lead(
         *("measure", "two-temperature", *options, "--samples", "20"),

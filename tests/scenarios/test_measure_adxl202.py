@@ -32,7 +32,7 @@ def test_one_damaged_sentence_in_seven_is_counted_never_used_and_replays_to_the_
 
     with on_a_pty(part) as path:
         led = lead(
-            *(
+            *[
                 "measure",
                 "mavs.yaml",
                 "--sensor",
@@ -40,10 +40,10 @@ def test_one_damaged_sentence_in_seven_is_counted_never_used_and_replays_to_the_
                 "--serial",
                 "A-1005",
                 "--settle",
-                "0.2",
+                "0.1",
                 "--samples",
                 "80",
-            ),
+            ],
             *("--address", f"serial://{path}?baudrate=115200", "-o", "A-1005.yaml"),
             cwd=tmp_path,
             answer=posed,

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     Outcome = tuple[Sequence[str], ApplySummary | TiltcalError]  # the remarks on a log, and its summary or its error
 
-_PATIENCE = "10s"  # for the connection to the scheduler
+_PATIENCE = "5s"  # for the connection to the scheduler
 _EXAMPLE = """\b
 Examples:
   tiltcal apply S-0042.yaml night.csv --uncertainty -o night-tilt.csv

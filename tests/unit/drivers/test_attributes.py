@@ -70,7 +70,7 @@ def test_a_replay_imports_no_object(imu: Path) -> None:
 
     cal = library.measure(
         "six-face", sensor="python", address="python:imu:Imu", serial="P-1", operator=Table(), jig=0.1, samples=5,
-        output="P-1.yaml",
+        settle=0.1, output="P-1.yaml",
     )  # fmt: skip
     assert cal.offset["x"] == pytest.approx(0.01, abs=1e-3)
     assert cal.sensitivity["z", "z"] == pytest.approx(9.80665, abs=1e-3)
