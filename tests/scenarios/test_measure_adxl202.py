@@ -32,19 +32,8 @@ def test_one_damaged_sentence_in_seven_is_counted_never_used_and_replays_to_the_
 
     with on_a_pty(part) as path:
         led = lead(
-            *[
-                "measure",
-                "mavs.yaml",
-                "--sensor",
-                "adxl202",
-                "--serial",
-                "A-1005",
-                "--settle",
-                "0.1",
-                "--samples",
-                "80",
-            ],
-            *("--address", f"serial://{path}?baudrate=115200", "-o", "A-1005.yaml"),
+            *("measure", "mavs.yaml", "--sensor", "adxl202", "--serial", "A-1005", "--samples", "80"),
+            *("--settle", "0.1", "--address", f"serial://{path}?baudrate=115200", "-o", "A-1005.yaml"),
             cwd=tmp_path,
             answer=posed,
         )
