@@ -28,8 +28,8 @@ from tiltcal.bench.session import Session
 from tiltcal.errors import BusError, Stopped
 from tiltcal.files.bench import BenchFile, BenchSensor
 from tiltcal.files.procedure import find_procedure
-from tiltcal.journal.header import Setup
-from tiltcal.journal.lines import read_journal
+from tiltcal.journal.lines import Journal
+from tiltcal.journal.session import RecordedSession
 
 RATE = 0.3
 
@@ -159,9 +159,8 @@ class FaultySession:
                 self.stops += 1
                 self._table.repair()
                 self._chamber.repair()
-                journal = read_journal(self._journal)
-                setup = Setup.of(journal)
-                self._session = Session(setup, self._journal, journal)
+                before = RecordedSession(Journal(self._journal))
+                self._session = Session(before.setup, self._journal, before)
 
     def ask(self, question: dict) -> object:
         """Pass on; before a position counts, compare what was answered with where the machines really are."""

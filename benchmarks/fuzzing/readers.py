@@ -79,15 +79,15 @@ def twin(draw: Random) -> None:
 @target(share=60)
 def journal(draw: Random) -> None:
     from tiltcal.journal.header import Setup
-    from tiltcal.journal.lines import read_journal
+    from tiltcal.journal.lines import Journal
 
     lines = golden(f"{draw.choice(JOURNALS)}.journal.jsonl").encode().splitlines(keepends=True)
     first = draw.randrange(1, max(len(lines) - EVENTS, 2))
     piece = b"".join((lines[0], *lines[first : first + EVENTS], lines[-1]))
     Path("j.jsonl").write_bytes(damaged_journal(draw, piece))
-    found = read_journal("j.jsonl")
+    found = Journal("j.jsonl")
     Setup.of(found)
-    for _ in found.events:
+    for _ in found:
         pass
 
 

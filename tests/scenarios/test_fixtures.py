@@ -22,7 +22,7 @@ from tiltcal.files.document import read_document
 from tiltcal.files.procedure import shipped_procedures
 from tiltcal.files.twin import read_twin
 from tiltcal.journal.header import Setup
-from tiltcal.journal.lines import read_journal
+from tiltcal.journal.lines import Journal
 from tiltcal.library.calibration import read
 
 # A number that lies between two roundings is rounded to either, by the linear algebra of the processor.
@@ -69,7 +69,8 @@ def test_a_session_of_today_is_the_fixture_to_the_byte(tmp_path: Path, monkeypat
     monkeypatch.setattr("os.chdir", lambda folder: None)
     runpy.run_path(str(FIXTURES / "make.py"), run_name="__main__")
     assert sorted(path.name for path in tmp_path.glob("*.*")) == ["plane.journal.jsonl", "plane.yaml"]
-    made, kept = (read_journal(folder / "plane.journal.jsonl") for folder in (tmp_path, FIXTURES))
+    made, kept = (Journal(folder / "plane.journal.jsonl") for folder in (tmp_path, FIXTURES))
+    assert len([*made]) == len([*kept])
     assert unchecked(made.path) == unchecked(kept.path)
     # The header of the fixture was written when it left defaults out.
     now, then = (Setup.of(journal) for journal in (made, kept))

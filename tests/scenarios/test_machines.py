@@ -32,7 +32,7 @@ from tiltcal.drivers.bus.clock import VirtualClock
 from tiltcal.errors import HardwareError
 from tiltcal.files.calibration import read_calibration
 from tiltcal.files.procedure import find_procedure
-from tiltcal.journal.lines import ANSWER, read_journal
+from tiltcal.journal.lines import ANSWER, Journal
 
 SENSORS = "".join(f'  - {{serial: A-{n}, model: adxl202-analog, address: "sim:?seed={n}"}}\n' for n in range(6))
 
@@ -80,7 +80,7 @@ def machines(folder: Path, sensors: str = SENSORS) -> Iterator[VirtualTable]:
 
 def answers(folder: Path, journal: str = "bench.journal.jsonl") -> list[dict]:
     """What was answered to each position."""
-    events = read_journal(folder / journal).events
+    events = Journal(folder / journal)
     return [one.payload[0] for one in events if one.kind == ANSWER and one.payload[0]["to"] == "position"]
 
 

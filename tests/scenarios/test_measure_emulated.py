@@ -19,8 +19,8 @@ from support.warm_start import WarmStart
 
 from tiltcal.files.calibration import CalibrationRecord, read_calibration
 from tiltcal.files.procedure import find_procedure
-from tiltcal.journal.calibrations import calibrations_of
-from tiltcal.journal.lines import read_journal
+from tiltcal.journal.lines import Journal
+from tiltcal.library.replay import replay
 
 pytest.importorskip("spidev", reason="the spidev package is not installed")
 
@@ -89,7 +89,7 @@ def test_unplugged_in_mid_session_and_plugged_in_again(warm: WarmStart, tmp_path
     found = read_calibration(tmp_path / "S-0042.yaml").coefficients
     np.testing.assert_allclose(found.offset, FLAT.offset, atol=0.7)
     # What went wrong on the bus is in the journal, and replays.
-    events = read_journal(tmp_path / "S-0042.journal.jsonl").events
+    events = Journal(tmp_path / "S-0042.journal.jsonl")
     assert any(event.kind == "!" for event in events)
 
 
@@ -112,11 +112,8 @@ def test_killed_on_the_real_bus_and_resumed(warm: WarmStart, tmp_path: Path) -> 
     assert journal.read_bytes()[: before.rfind(b"\n") + 1] == before[: before.rfind(b"\n") + 1]
     found = read_calibration(tmp_path / "S-0042.yaml").coefficients
     np.testing.assert_allclose(found.offset, FLAT.offset, atol=0.7)
-    assert [event.kind for event in read_journal(journal).events].count("resumed") == 1
-    assert (
-        next(iter(calibrations_of(read_journal(journal)).texts().values())).encode()
-        == (tmp_path / "S-0042.yaml").read_bytes()
-    )
+    assert [event.kind for event in Journal(journal)].count("resumed") == 1
+    assert replay(journal).texts == {"S-0042.yaml": (tmp_path / "S-0042.yaml").read_text(encoding="utf-8")}
 
 
 def test_six_face_on_spi_and_on_i2c(warm: WarmStart, tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ import random
 import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from support import ROOT
@@ -12,7 +13,7 @@ from support.warm_start import WarmStart
 
 from tiltcal import Calibration, read
 from tiltcal.files.calibration import read_calibration
-from tiltcal.journal.lines import read_journal
+from tiltcal.journal.lines import Journal
 from tiltcal.library.measure import measure as measure_here
 
 JOURNAL = "S-1.journal.jsonl"
@@ -101,9 +102,9 @@ def never_stopped(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], P
     return folder_of
 
 
-def accepted(journal: Path) -> list[object]:
+def accepted(journal: Path) -> list[Any]:
     """The accepted positions that a journal holds."""
-    return [event.payload[0] for event in read_journal(journal).accepted]
+    return [event.payload[0] for event in Journal(journal) if event.kind == "p"]
 
 
 def coefficients(path: Path) -> Iterator[tuple[float, float]]:
@@ -173,9 +174,9 @@ def test_a_ramp_keeps_all_its_samples_over_a_break(
     monkeypatch.chdir(tmp_path)
     (tmp_path / JOURNAL).write_bytes(content[: len(content) // 3])
     measure_here(resume=JOURNAL)
-    journal = read_journal(tmp_path / JOURNAL)
-    taken = [event.payload[0]["sensors"]["S-1"]["n"] for event in journal.accepted]
-    assert sum(taken) == sum(event.kind == "s" for event in journal.events) // 3
+    journal = tmp_path / JOURNAL
+    taken = [one["sensors"]["S-1"]["n"] for one in accepted(journal)]
+    assert sum(taken) == sum(event.kind == "s" for event in Journal(journal)) // 3
 
 
 def test_a_temperature_that_was_reached_needs_no_new_soak(tmp_path: Path) -> None:
@@ -196,7 +197,7 @@ def test_a_temperature_that_was_reached_needs_no_new_soak(tmp_path: Path) -> Non
     cold = [place for place, line in enumerate(lines) if b'"p"' in line][1]
     path.write_bytes(b"".join(lines[: cold + 1]))
     measure_here(resume=path)
-    events = list(read_journal(path).events)
+    events = list(Journal(path))
     again = next(place for place, event in enumerate(events) if event.kind == "resumed")
     accepted_at = next(place for place, event in enumerate(events) if place > again and event.kind == "p")
     assert sum(event.dt_ns for event in events[again:accepted_at]) < 20e9

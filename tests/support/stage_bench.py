@@ -29,7 +29,8 @@ from tiltcal.files.pair import PairRecord
 from tiltcal.files.procedure import procedure_in
 from tiltcal.journal.calibrations import calibrations_of
 from tiltcal.journal.header import Setup
-from tiltcal.journal.lines import read_journal
+from tiltcal.journal.lines import Journal
+from tiltcal.journal.session import RecordedSession
 
 A1_A2 = Pair("a1", "a2", "a4")
 A3_A4 = Pair("a3", "a4", "a1")
@@ -115,8 +116,8 @@ def turned(
     """Let a session take the lines; its journal is captured in a file, gone on with on request, and replayed."""
     with TemporaryDirectory() as folder:
         path = journal or Path(folder) / "stage.journal.jsonl"
-        before = read_journal(path) if resume else None
-        setup = _setup(pairs, turns, converged, path) if before is None else Setup.of(before)
+        before = RecordedSession(Journal(path)) if resume else None
+        setup = _setup(pairs, turns, converged, path) if before is None else before.setup
         session = Session(setup, path, before)
         session.clock = clock = VirtualClock()
         opening, device = devices.open_device, Device(printed, clock, interval)
@@ -125,8 +126,8 @@ def turned(
             result = run_session(session, attendant)
         finally:
             devices.open_device = opening
-        assert calibrations_of(read_journal(path)).texts() == result.texts()
-    (record,) = result.calibrations.values()
+        assert calibrations_of(RecordedSession(Journal(path))) == result
+    (record,) = result.values()
     assert isinstance(record, PairRecord)
     return record
 

@@ -25,9 +25,12 @@ from tiltcal.errors import (
     TiltcalError,
     UsageError,
 )
+from tiltcal.files.calibration import CalibrationRecord
+from tiltcal.files.pair import PairRecord
 from tiltcal.files.procedure import Ramp, Rotation
-from tiltcal.journal.calibrations import SessionResult, calibrations_of
-from tiltcal.journal.lines import read_journal
+from tiltcal.journal.calibrations import calibrations_of
+from tiltcal.journal.lines import Journal
+from tiltcal.journal.session import RecordedSession
 
 
 @contextmanager
@@ -48,7 +51,7 @@ def led_by(
     UsageError: no such operator, or one that the bench cannot have.
     """
     files = session.files
-    files.require_writable(session.journal)
+    files.require_writable(session.before)
     go_on = files.go_on(command)
     try:
         session.probe()
@@ -130,13 +133,13 @@ def _with_machines(operator: Operator, session: Session, stack: ExitStack) -> Op
     return moved
 
 
-def run_session(session: Session, operator: Operator) -> SessionResult:
-    """Carry a session out, or go on with it, to the end of its journal, and return what the journal gives.
+def run_session(session: Session, operator: Operator) -> dict[str, CalibrationRecord | PairRecord]:
+    """Carry a session out, or go on with it, to the end of its journal; return the calibrations that this gives.
 
     TiltcalError: what stopped it; everything that was measured is in the journal.
     """
-    if session.journal is not None and session.finished:
-        return calibrations_of(session.journal)
+    if session.finished:
+        return calibrations_of(session.recorded)
     steps = session.setup.steps
     with ExitStack() as stack:
         session.open(stack, operator)
@@ -154,10 +157,11 @@ def run_session(session: Session, operator: Operator) -> SessionResult:
                 raise
             except (Unsettled, InputError, HardwareError) as error:
                 _refuse(session, position.name, error)
-        result = calibrations_of(read_journal(session.files.journal))
+        session.recorded = RecordedSession(Journal(session.files.journal))
+        calibrations = calibrations_of(session.recorded)
         session.writer.finish(0)
         session.finished = True
-    return result
+    return calibrations
 
 
 def _measured(session: Session, judgement: Judgement) -> bool:

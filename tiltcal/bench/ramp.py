@@ -37,7 +37,7 @@ class RampLegs:
         if session.accepted and actual.gravity != session.accepted[0].position.gravity:
             raise Unsettled("a ramp has one attitude: leave the sensor as it lies")
         first = session.leg[0].line if session.leg else session.recorder.line + 1
-        samples = [*(one.readings for one in session.leg), *self._on_the_way(position)]
+        samples = [*session.leg, *self._on_the_way(position)]
         last = session.recorder.line
         for sensor in sensors:
             railed = [why for sample in samples if (why := at_rail(sample[sensor.serial], sensor.wired))]

@@ -27,12 +27,12 @@ from tiltcal.drivers.bus.clock import session_clock
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.procedure import FreePositions, Position, Ramp
 from tiltcal.journal.header import Setup
-from tiltcal.journal.lines import POSITION, RESUMED, Journal, JournalWriter, OperatorAnswer, read_journal
+from tiltcal.journal.lines import POSITION, RESUMED, Journal, JournalWriter, OperatorAnswer
 from tiltcal.journal.outputs import SessionFiles
-from tiltcal.journal.playback import RecordedSample, Sample
+from tiltcal.journal.playback import Sample
 from tiltcal.journal.positions import PositionResult, as_set, at_rail, result_of
 from tiltcal.journal.reference import set_by
-from tiltcal.journal.session import RecordedSession, positions_of
+from tiltcal.journal.session import RecordedSession
 from tiltcal.printable import in_minutes
 
 NUDGED = 0.002  # a change while sampling above this is a sensor that was touched, g (0.1° near level)
@@ -41,12 +41,11 @@ NUDGED_SIGMAS = 6.0
 
 
 class Session:
-    """A setup being carried out, with its journal at ``path``; ``journal`` is what was captured before an interruption.
+    """A setup being carried out, with its journal at ``path``, which held ``before`` what an interruption left.
 
-    ``output`` takes the place of where the setup says that calibrations go.
-    ``recorded`` is what the journal holds from before, of a new session nothing; ``accepted`` are the positions so far,
-    ``leg`` the samples of a ramp's leg. The journal is ``captured`` where it has a begin, and ``finished`` where it has
-    its end.
+    ``output`` takes the place of where the setup says that calibrations go. ``recorded`` is what the journal holds,
+    ``accepted`` are the positions so far, ``leg`` the samples of a ramp's leg. The journal is ``captured`` where it has
+    a begin, and ``finished`` where it has its end.
     """
 
     sensors: SensorSet
@@ -54,20 +53,24 @@ class Session:
     recorder: Recorder
     writer: JournalWriter
     accepted: list[PositionResult]
-    leg: list[RecordedSample]
+    leg: list[Sample]
     talk: Conversation
     _soaked: float | None
     """The temperature that the sensors have, °C; None on the way."""
 
-    def __init__(self, setup: Setup, path: Path, journal: Journal | None = None, output: Path | None = None) -> None:
+    def __init__(
+        self, setup: Setup, path: Path, before: RecordedSession | None = None, output: Path | None = None
+    ) -> None:
         self.setup = setup
         self.files = SessionFiles(setup, path, output)
-        self.journal = journal
+        self.before = before
+        if before is not None:
+            self.recorded = before
         self.judged: Mapping[str, CalibrationRecord] = {}
         """By serial number the calibrations that a verification judges, by which its operator sees the angles."""
         self.clock = session_clock(setup.began, virtual=setup.simulated)
-        self.captured = journal is not None
-        self.finished = journal is not None and journal.end is not None
+        self.captured = before is not None
+        self.finished = before is not None and before.journal.ended
         self._virtual = VirtualBench(self.clock, setup.devices)
         self._alike: list[str] = []
         self._asked = ("", 0)
@@ -87,12 +90,11 @@ class Session:
     def open(self, stack: ExitStack, operator: Operator) -> None:
         """Open the journal and the devices until the end of the stack, and tell the operator what begins."""
         setup = self.setup
-        if self.journal is None:
+        if self.before is None:
             self.writer = JournalWriter.create(self.files.journal, setup.header())
-            self.recorded = positions_of(read_journal(self.files.journal))
+            self.recorded = RecordedSession(Journal(self.files.journal), setup)
         else:
-            self.recorded = positions_of(self.journal)
-            self.writer = JournalWriter.resume(self.journal)
+            self.writer = JournalWriter.resume(self.recorded.journal)
         self.captured = True
         stack.callback(self.writer.close)
         self.recorder = Recorder(self.clock, self.writer, self.recorded.playback.now_ns)
@@ -136,11 +138,11 @@ class Session:
         for result in (*self.accepted, *withdrawn):
             self._hold(replace(result.position, temperature=result.asked))
         if self.leg:
-            (reading, *_) = self.leg[-1].readings.values()
+            (reading, *_) = self.leg[-1].values()
             self._hold(replace(self.recorded.open[0], temperature=reading.temperature))
         self._soaked = None if last is None else last.asked
         self._interrupted = self._soaked is not None
-        if self.journal is not None:
+        if self.before is not None:
             self.clock.seek(self.recorder.now_ns())
             self.recorder.record(RESUMED)
 

@@ -26,8 +26,9 @@ from tiltcal.files.json_schema import json_schema
 from tiltcal.files.pair import PairRecord
 from tiltcal.files.record import KINDS
 from tiltcal.files.yaml_text import Place, dotted, parse
-from tiltcal.journal.calibrations import calibrations_of, interrupted
-from tiltcal.journal.lines import read_journal
+from tiltcal.journal.calibrations import calibrations_of, texts_of
+from tiltcal.journal.lines import Journal
+from tiltcal.journal.session import RecordedSession
 
 _NAMED = 5  # keys of a file that a finding names
 _ROUNDING = 0.01  # share of an uncertainty by which versions may differ; two digits of it are written
@@ -102,18 +103,16 @@ def _is_journal(path: Path) -> bool:
 
 
 def _of_journal(path: Path) -> list[str]:
-
-    journal = read_journal(path)
-    findings = []
-    if journal.torn:
-        findings.append("its last line is torn off")
-    if journal.end is None:
-        findings.append(str(interrupted(journal).message))
-        with suppress(JournalError):  # interrupted before its last position
-            try:
-                calibrations_of(journal)
-            except EstimateError as wrong:
-                findings.append(str(wrong))
+    recorded = RecordedSession(Journal(path))
+    findings = ["its last line is torn off"] if recorded.journal.torn else []
+    if recorded.journal.ended:
+        return findings
+    findings.append(str(recorded.interrupted().message))
+    with suppress(JournalError):  # interrupted before its last position
+        try:
+            calibrations_of(recorded)
+        except EstimateError as wrong:
+            findings.append(str(wrong))
     return findings
 
 
@@ -134,15 +133,15 @@ def _of_journal_beside(path: Path, found: CalibrationRecord | PairRecord) -> tup
         return [], []
 
     journal = path.parent / captured.name
-    made = calibrations_of(read_journal(journal))
-    texts = made.texts()
+    made = calibrations_of(RecordedSession(Journal(journal)))
+    texts = texts_of(made)
     if (text := path.read_text(encoding="utf-8")) in texts.values():
         return [], []
     serial = found.sensor.serial if isinstance(found, CalibrationRecord) else ""
     serial = serial if serial in texts else next(iter(texts), "")
     if not texts:
         return [f"{journal} does not give this file"], []
-    new = made.calibrations[serial]
+    new = made[serial]
     differing = list(_differing(parse(text)[0], parse(texts[serial])[0]))
     keys = [place for place, *_ in differing]
     if isinstance(found, CalibrationRecord) and isinstance(new, CalibrationRecord):

@@ -10,12 +10,13 @@ from tiltcal.cli import options
 from tiltcal.cli.talk import in_options, remark
 from tiltcal.errors import NEGATIVE_VERDICT, InputError, TiltcalError, UsageError, WrongPositions
 from tiltcal.files.atomic import require_apart, whole_file
+from tiltcal.journal.calibrations import calibrations_of, texts_of
 from tiltcal.journal.header import Setup
-from tiltcal.journal.lines import read_journal
+from tiltcal.journal.lines import Journal
 from tiltcal.journal.outputs import SessionFiles
-from tiltcal.journal.playback import Playback, RecordedSample
-from tiltcal.journal.samples import write_samples
-from tiltcal.library.replay import Replay, journals_in, replay, surplus, texts_of
+from tiltcal.journal.samples import samples_into
+from tiltcal.journal.session import RecordedSession
+from tiltcal.library.replay import Replay, journals_in, replay, surplus
 
 
 @options.command(epilog="Example: tiltcal replay journals --golden journals")
@@ -46,26 +47,30 @@ def command(journals: tuple[Path, ...], output: Path | None, golden: Path | None
             raise UsageError("several journals are compared with a folder, --golden DIR: leave -o and --samples out")
         return _compared(journals_in(journals), golden)
     (journal,) = journals
-    captured = read_journal(journal)
-    if captured.torn:
-        remark(f"{journal}: the last line was torn off and is dropped")
+    captured = Journal(journal)
     setup = Setup.of(captured)
     files = SessionFiles(setup, journal, output)
     if setup.verifies and (output or golden) is not None:
         raise UsageError(f"{journal} is of a verification, which makes no calibration file: leave -o and --golden out")
+    if samples is None:
+        recorded = RecordedSession(captured, setup)
+    else:
+        require_apart(samples, journal)
+        with whole_file(samples) as stream:
+            recorded = RecordedSession(captured, setup, samples_into(stream, setup))
+    if captured.torn:
+        remark(f"{journal}: the last line was torn off and is dropped")
     if output is not None:
-        files.require_writable(captured)
+        files.require_writable(recorded)
     try:
-        made = texts_of(captured, remark)
+        made = texts_of(calibrations_of(recorded))
     except WrongPositions as wrong:
-        if captured.end is not None:
+        if captured.ended:
             raise
         remark(f"{journal}: {wrong}; continue it with: {setup.resume_command(journal)}")
         return NEGATIVE_VERDICT
-    if samples is not None:
-        require_apart(samples, journal)
-        with whole_file(samples) as stream:
-            write_samples(stream, setup, (item for item in Playback(captured) if isinstance(item, RecordedSample)))
+    if not captured.ended:
+        remark(f"{journal}: its end line is missing, and all positions are there")
     if golden is not None:
         found = Replay(journal, {files.outputs[serial].name: text for serial, text in made.items()})
         differences = found.differences(golden)

@@ -6,10 +6,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
-from tiltcal.errors import JournalError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
 from tiltcal.files.moments import stamp
 from tiltcal.files.pair import PairRecord
@@ -23,39 +22,21 @@ from tiltcal.files.results import (
     Provenance,
     SamplesRecord,
 )
-from tiltcal.journal.header import Setup
-from tiltcal.journal.lines import Journal
 from tiltcal.journal.reference import compared, uncertainty_with
-from tiltcal.journal.session import RecordedSession, positions_of
+from tiltcal.journal.session import RecordedSession
 
 
-@dataclass(frozen=True)
-class SessionResult:
-    """The result of a session: by serial number its calibrations, one of all pairs of a stage by its first device.
+def calibrations_of(session: RecordedSession) -> dict[str, CalibrationRecord | PairRecord]:
+    """Return the calibrations of a session by serial number, be it about to end; none of a verification.
 
-    ``lost`` says why sensors were given up, ``link_statistics`` what became of the data of those that send by
-    themselves.
-    """
+    That of all pairs of a stage stands by its first device.
 
-    calibrations: dict[str, CalibrationRecord | PairRecord]
-    lost: dict[str, str]
-    link_statistics: Mapping[str, Mapping[str, int]]
-
-    def texts(self) -> dict[str, str]:
-        """Return the texts of the calibration files by serial number."""
-        return {serial: record.text for serial, record in self.calibrations.items()}
-
-
-def calibrations_of(journal: Journal) -> SessionResult:
-    """Return the calibrations that a journal gives, be its session about to end; none of a verification.
-
-    JournalError: as :func:`positions_of`, or the session is not complete.
+    JournalError: the session is not complete.
     EstimateError: the positions cannot determine the coefficients.
     """
-    session = positions_of(journal)
     setup = session.setup
     if not session.complete:
-        raise interrupted(journal)
+        raise session.interrupted()
     statistics = session.playback.link_statistics()
     provenance = {
         "made_by": VIRTUAL if setup.simulated else "measurement",
@@ -63,22 +44,17 @@ def calibrations_of(journal: Journal) -> SessionResult:
         "software": setup.software,
         "started": stamp(setup.began),
         "ended": setup.stamp_after(session.playback.now_ns),
-        "journal": FileRecord(name=setup.journal, sha256=journal.sha256),
+        "journal": FileRecord(name=setup.journal, sha256=session.journal.sha256),
         "references": setup.references,
     }
-    calibrations: dict[str, CalibrationRecord | PairRecord] = {}
     if isinstance(setup.steps, Rotation):
-        calibrations[setup.sensors[0].serial] = _pair_calibration(session, provenance, statistics)
-    elif not setup.verifies:
-        calibrations |= _tilt_calibrations(session, provenance, statistics)
-    return SessionResult(calibrations, session.lost, statistics)
+        return {setup.sensors[0].serial: _pair_calibration(session, provenance, statistics)}
+    return {} if setup.verifies else {**_tilt_calibrations(session, provenance, statistics)}
 
 
-def interrupted(journal: Journal) -> JournalError:
-    """Return the error of a journal without its end, which says how to go on."""
-    command = Setup.of(journal).resume_command(journal.path)
-    why = f"the session was interrupted; continue it with: {command}"
-    return JournalError(why, file=journal.path, line=len(journal.events) + 2)
+def texts_of(calibrations: Mapping[str, CalibrationRecord | PairRecord]) -> dict[str, str]:
+    """Return the texts of calibration files, by serial number."""
+    return {serial: record.text for serial, record in calibrations.items()}
 
 
 def fitted(session: RecordedSession) -> list[CalibrationRecord]:

@@ -20,12 +20,13 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import re
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
-from typing import Annotated, Any, BinaryIO, TypeVar
+from typing import Annotated, Any, TypeVar
 from zlib import crc32
 
 import msgspec
@@ -49,7 +50,7 @@ LINE_LIMIT = 16_000_000  # bytes of a line; the first one holds the procedure an
 _ARRAY_CHECK = len(',"00000000"]\n')
 _OBJECT_CHECK = len(',"check":"00000000"}\n')
 _CHANGED = "the line is damaged: its check does not fit its content"
-_TOO_LONG = "the line is longer than any of a journal"
+_ACCEPTS, _ENDS = (re.compile(rb'\[\s*[0-9]+\s*,\s*"%s"\s*,' % kind.encode()) for kind in (POSITION, END))
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,26 +65,6 @@ class Event:
     def content(self, record: type[T]) -> T:
         """Return what follows the kind, of an answer or an accepted position."""
         return msgspec.convert(self.payload[0], record)
-
-
-@dataclass(frozen=True)
-class Events:
-    """The events of a journal that was checked, read from its file one by one: a night of six sensors has millions."""
-
-    path: Path
-    count: int
-
-    def __len__(self) -> int:
-        return self.count
-
-    def __iter__(self) -> Iterator[Event]:
-        with open(self.path, "rb") as stream:
-            stream.readline(LINE_LIMIT)
-            for number in range(2, self.count + 2):
-                line = stream.readline(LINE_LIMIT)
-                if not line.endswith(b"\n"):
-                    raise _damage("the journal was made shorter while it was read", self.path, number)
-                yield _event_of(line, self.path, number)
 
 
 @dataclass
@@ -101,67 +82,77 @@ class Written:
         self.digest.update(line)
 
 
-@dataclass(frozen=True)
 class Journal:
-    """A journal that was read and found sound, without a torn last line."""
+    """A journal, whose events are read and checked once, by iterating over it; a JournalError names a damaged line.
 
-    path: Path
-    header: dict[str, Any]
-    events: Events
-    accepted: tuple[Event, ...]  # the accepted positions among the events
-    end: dict[str, Any] | None  # the end record; None where the session was interrupted
-    torn: bool
-    written: Written
+    ``coming`` is the next accepted position, at or behind the event that is read; None behind the last one. When all
+    are read, ``ended`` is whether the session came to its end, and ``torn`` whether a last line was dropped.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+        try:
+            with open(path, "rb") as stream:
+                line = stream.readline(LINE_LIMIT)
+        except OSError as error:
+            raise JournalError(f"cannot be read: {error.strerror}", file=path) from None
+        if not _is_whole(line, self.path, 1):
+            raise JournalError("holds no complete header: nothing was captured; start the session anew", file=path)
+        self.header, self.written = _header(line, self.path)
+        self.coming: AcceptedPosition | None = None
+        self.ended = self.torn = False
 
     @property
     def sha256(self) -> str:
         """SHA-256 of everything before the end record, or of all whole lines where there is none."""
         return self.written.digest.hexdigest()
 
+    def __iter__(self) -> Iterator[Event]:
+        held: list[bytes] = []  # the lines of one position alone: a night of six sensors has millions
+        for line in self._checked():
+            held.append(line)
+            if _ACCEPTS.match(line):
+                self.coming = _event_of(line, self.path, self.written.events + 1).content(AcceptedPosition)
+                yield from self._events(held)
+        self.coming = None
+        yield from self._events(held)
 
-def read_journal(path: str | Path) -> Journal:
-    """Read a journal and check every line of it, in small memory; a JournalError names the line that is damaged."""
-    path = Path(path)
-    try:
-        with open(path, "rb") as stream:
-            return _read(stream, path)
-    except OSError as error:
-        raise JournalError(f"cannot be read: {error.strerror}", file=path) from None
+    def _events(self, held: list[bytes]) -> Iterator[Event]:
+        """Yield the events of the last lines that were checked, and hold them no more."""
+        for number, line in enumerate(held, self.written.events + 2 - len(held)):
+            yield _event_of(line, self.path, number)
+        held.clear()
+
+    def _checked(self) -> Iterator[bytes]:
+        """Yield the line of each event when its check fits."""
+        number, written = 1, self.written
+        with open(self.path, "rb") as stream:
+            stream.readline(LINE_LIMIT)
+            while line := stream.readline(LINE_LIMIT):
+                number += 1
+                if not _is_whole(line, self.path, number):
+                    self.torn = True
+                    return
+                if self.ended:
+                    raise _damage("something follows the end record; nothing may", self.path, number)
+                crc = crc32(line[:-_ARRAY_CHECK] + b"]", written.crc)
+                if line[-_ARRAY_CHECK:] != f',"{crc:08x}"]\n'.encode():
+                    raise _damage(_CHANGED, self.path, number)
+                if _ENDS.match(line):
+                    (end,) = _event_of(line, self.path, number).payload
+                    if end != {"events": written.events, "sha256": self.sha256}:
+                        raise _damage("the end record does not fit the lines before it", self.path, number)
+                    self.ended = True
+                else:
+                    written.add(line, crc)
+                    yield line
 
 
-def _read(stream: BinaryIO, path: Path) -> Journal:
-    line = stream.readline(LINE_LIMIT)
-    if not line.endswith(b"\n"):
-        if len(line) == LINE_LIMIT:
-            raise _damage(_TOO_LONG, path, 1)
-        raise JournalError("holds no complete header: nothing was captured; start the session anew", file=path)
-    header, written = _header(line, path)
-    accepted: list[Event] = []
-    end: dict[str, Any] | None = None
-    number, torn = 1, False
-    while line := stream.readline(LINE_LIMIT):
-        number += 1
-        if not line.endswith(b"\n"):
-            if len(line) == LINE_LIMIT:
-                raise _damage(_TOO_LONG, path, number)
-            torn = True
-            break
-        if end is not None:
-            raise _damage("something follows the end record; nothing may", path, number)
-        crc = crc32(line[:-_ARRAY_CHECK] + b"]", written.crc)
-        if line[-_ARRAY_CHECK:] != f',"{crc:08x}"]\n'.encode():
-            raise _damage(_CHANGED, path, number)
-        event = _event_of(line, path, number)
-        if event.kind == END:
-            end = event.payload[0]
-            if end != {"events": written.events, "sha256": written.digest.hexdigest()}:
-                raise _damage("the end record does not fit the lines before it", path, number)
-            continue
-        written.add(line, crc)
-        if event.kind == POSITION:
-            accepted.append(event)
-    del header["tiltcal-journal"]
-    return Journal(path, header, Events(path, written.events), tuple(accepted), end, torn, written)
+def _is_whole(line: bytes, path: Path, number: int) -> bool:
+    """Return whether a line was not torn off."""
+    if len(line) == LINE_LIMIT and not line.endswith(b"\n"):
+        raise _damage("the line is longer than any of a journal", path, number)
+    return line.endswith(b"\n")
 
 
 class JournalWriter:
@@ -285,7 +276,7 @@ def _header(line: bytes, path: Path) -> tuple[dict[str, Any], Written]:
     if line[-_OBJECT_CHECK:] != f',"check":"{crc:08x}"}}\n'.encode():
         raise _damage(_CHANGED, path, 1)
     header: dict[str, Any] = _loads(body, path, 1)
-    version = header["tiltcal-journal"]
+    version = header.pop("tiltcal-journal")
     if version != VERSION:
         raise _damage(f"is of journal version {version}; this tiltcal reads version {VERSION}", path, 1)
     return header, Written(crc, hashlib.sha256(line), len(line))

@@ -13,7 +13,7 @@ from tiltcal.files.calibration_output import require_replaceable, write_calibrat
 from tiltcal.files.procedure import Rotation
 from tiltcal.files.results import Sensors
 from tiltcal.journal.header import Setup
-from tiltcal.journal.lines import Journal
+from tiltcal.journal.session import RecordedSession
 
 
 class SessionFiles:
@@ -56,20 +56,20 @@ class SessionFiles:
             f"everything measured is kept; continue with: tiltcal {command} --resume {quote(str(self.journal))}{where}"
         )
 
-    def require_writable(self, captured: Journal | None) -> None:
+    def require_writable(self, recorded: RecordedSession | None) -> None:
         """Check before the operator starts that the files can be written; a journal that has its end is not.
 
         UsageError: a path that cannot be written, where a file is that is no calibration of the same sensor, or that a
-            captured journal, which may be somebody else's, names outside its own folder.
+            recorded session, which may be somebody else's, names outside the folder of its journal.
         """
-        if captured is not None and self._named is None and self._outside:
+        if recorded is not None and self._named is None and self._outside:
             raise UsageError(
                 f"the journal names {self._outside[0]}, outside its own folder",
                 advice=("say with ", Argument("output"), " where the calibration goes"),
             )
         for serial, path in self.outputs.items():
             require_replaceable(path, self.sensors_of(serial), self.journal)
-        if captured is None or captured.end is None:
+        if recorded is None or not recorded.journal.ended:
             check_writable(self.journal)
 
     def sensors_of(self, serial: str) -> Sensors:

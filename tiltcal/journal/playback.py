@@ -11,7 +11,7 @@ accepted position names the line at which its samples begin.
 
 from __future__ import annotations
 
-from collections import deque
+import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
@@ -34,16 +34,14 @@ STREAMS = ("r", "e", "m")  # the buses on which a transaction without bytes drop
 MARKS = (ANSWER, POSITION, RESUMED)  # the events that are no transaction
 
 
-@dataclass(frozen=True)
-class RecordedSample:
-    """A sample of a session, its readings by serial number; a sensor that was given up is left out.
+class Sample(dict[str, Reading]):
+    """One reading of each sensor of a bench, by serial number, and that of a reference on the plate, where one is.
 
-    ``line`` is that of the last event before it ended, ``now_ns`` its time since the session began.
+    ``now_ns`` is its time since the session began; in a journal ``line`` is that of the last event before it ended.
     """
 
-    line: int
-    now_ns: int
-    readings: Sample
+    reference: Reading | None = None
+    now_ns = line = 0
 
 
 @dataclass
@@ -69,16 +67,15 @@ class Playback:
     ``failures`` are the last ones by serial number.
     """
 
-    def __init__(self, journal: Journal) -> None:
-        self.setup = Setup.of(journal)
+    def __init__(self, setup: Setup, journal: Journal) -> None:
+        self.setup = setup
         self.now_ns = self.breaks = 0
         self.failures: dict[str, str] = {}
         self._journal = journal
         self._clock = VirtualClock()
-        self._events = iter(journal.events)
+        self._events = iter(journal)
         self._line = 1
         self._event: Event | None = next(self._events, None)
-        self._coming = deque(event.content(AcceptedPosition) for event in journal.accepted)
         self._interrupted = False
         self._since = 0
         """Samples of the next position."""
@@ -106,11 +103,11 @@ class Playback:
                 counted[name] = {what: before.get(what, 0) + n for what, n in counts.items()}
         return counted
 
-    def __iter__(self) -> Iterator[RecordedSample | Event]:
+    def __iter__(self) -> Iterator[Sample | Event]:
         begun = None
         while (event := self._event) is not None:
             if event.kind not in MARKS:
-                lines = self._coming[0].lines if self._coming else None
+                lines = None if self._journal.coming is None else self._journal.coming.lines
                 if lines is not None and lines is not begun and event.line >= lines[0]:
                     begun, self._since = lines, 0
                 if (sample := self._sample(fresh=self._drops(event))) is not None:
@@ -120,18 +117,18 @@ class Playback:
             yield from self._kept_by_drivers(event)
             self._take(event)
             if event.kind == POSITION:
-                self._lacking = {*self._names} - {*self._coming.popleft().sensors}
+                self._lacking = {*self._names} - {*event.content(AcceptedPosition).sensors}
             elif event.kind == RESUMED:
                 self._resume()
             yield event
 
-    def _kept_by_drivers(self, event: Event) -> Iterator[RecordedSample]:
+    def _kept_by_drivers(self, event: Event) -> Iterator[Sample]:
         """Yield the samples that need no further transaction, where the session took them before an event."""
         question, most = event.content(OperatorAnswer).to if event.kind == ANSWER else "", 0
         if not self.setup.steps.positions and (event.kind in (POSITION, RESUMED) or question == "write"):
-            most = len(self._journal.events)
+            most = sys.maxsize
         elif question == "review":
-            coming = self._coming[0] if self._coming else None
+            coming = self._journal.coming
             most = (self.setup.settings.samples if coming is None else coming.n + coming.left_out) - self._since
         while most > 0 and (sample := self._sample()) is not None:
             most, self._since = most - 1, self._since + 1
@@ -167,7 +164,7 @@ class Playback:
             raise BusError(event.payload[1])
         return bytes.fromhex(event.payload[1])
 
-    def _sample(self, *, fresh: bool = False) -> RecordedSample | None:
+    def _sample(self, *, fresh: bool = False) -> Sample | None:
         """Return a sample of all devices; None where one of them failed, or no further is there."""
         self._interrupted = False
         readings: dict[str, Reading] = {}
@@ -184,7 +181,9 @@ class Playback:
                 self.breaks += 1
                 self.failures[name] = str(named_error(name, error, alone=len(self.setup.sensors) == 1))
             return None
-        return RecordedSample(self._line, self.now_ns, at_one_temperature(readings))
+        sample = at_one_temperature(readings)
+        sample.now_ns, sample.line = self.now_ns, self._line
+        return sample
 
     def _drops(self, event: Event) -> bool:
         """Return whether a sample begins with a drop of what arrived; it may fail on the first device that streams."""
@@ -202,7 +201,7 @@ class Playback:
         """
         name, event = self._names[number], self._event
         if name not in self._given_up and name in self.failures and name not in OF_THE_BENCH and len(self._names) > 1:
-            lacking = not self._coming or name not in self._coming[0].sensors
+            lacking = self._journal.coming is None or name not in self._journal.coming.sensors
             streams = self.setup.devices[number].letter in STREAMS
             another = event is not None and event.payload[2:] != ((number,) if number else ())
             self._given_up |= {name} if another and (lacking or not streams) else set()
@@ -217,12 +216,6 @@ class Playback:
 
     def _error(self, message: str, event: Event) -> JournalError:
         return JournalError(message, file=self._journal.path, line=event.line)
-
-
-class Sample(dict[str, Reading]):
-    """One reading of each sensor of a bench, by serial number, and that of a reference on the plate, where one is."""
-
-    reference: Reading | None = None
 
 
 def at_one_temperature(readings: dict[str, Reading]) -> Sample:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from datetime import datetime
 from typing import BinaryIO
 
 from tiltcal.drivers.model import Model
 from tiltcal.files.moments import moment_after, stamp
 from tiltcal.journal.header import Setup, column_name
-from tiltcal.journal.playback import RecordedSample, Sample
+from tiltcal.journal.playback import Sample
 
 
 class LogColumns:
@@ -47,10 +47,9 @@ def _row(cells: Sequence[str]) -> bytes:
     return (",".join(cells) + "\n").encode()
 
 
-def write_samples(stream: BinaryIO, setup: Setup, samples: Iterable[RecordedSample]) -> None:
-    """Write the samples of a session as the rows of a log; a sensor that was given up leaves its cells empty."""
+def samples_into(stream: BinaryIO, setup: Setup) -> Callable[[Sample], object]:
+    """Return what writes a sample of a session as a row of a log; a sensor that was given up leaves its cells empty."""
     models = {device.serial: device.wired for device in setup.sensors}
     columns = LogColumns(models, thermometer=setup.thermometer is not None)
     stream.write(_row(columns.names))
-    for sample in samples:
-        stream.write(columns.row(moment_after(setup.began, sample.now_ns), sample.readings))
+    return lambda sample: stream.write(columns.row(moment_after(setup.began, sample.now_ns), sample))

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from array import array
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from math import nan
 from typing import TYPE_CHECKING, Any
@@ -18,9 +18,9 @@ from tiltcal.core.model import Array
 from tiltcal.core.samples import ReadingStep
 from tiltcal.errors import JournalError
 from tiltcal.files.procedure import Rotation
-from tiltcal.journal.header import BenchDevice
+from tiltcal.journal.header import BenchDevice, Setup
 from tiltcal.journal.lines import ANSWER, POSITION, RESUMED, AcceptedPosition, Event, Journal, OperatorAnswer
-from tiltcal.journal.playback import Playback, RecordedSample
+from tiltcal.journal.playback import Playback, Sample
 from tiltcal.journal.positions import PositionResult, ReadingSpans, as_set, at_rail, result_of
 from tiltcal.journal.reference import set_by
 from tiltcal.journal.taken_positions import TakenPositions
@@ -33,31 +33,37 @@ DIGITS = 1e-9  # part of its size by which a mean may differ from the one that w
 
 
 class RecordedSession(TakenPositions):
-    """What a journal holds of a session.
+    """What a journal holds of its session, in one reading of it.
 
     ``leg`` are the samples of a ramp since the last position, ``turned`` is the end of a rotation. ``spans`` are what
-    the readings span, ``steps`` what they have shown of the steps that no model states.
+    the readings span, ``steps`` what they have shown of the steps that no model states. ``look`` gets each sample.
+
+    JournalError: a driver sends another request than the recorded one, or a position does not give its means.
     """
 
-    def __init__(self, journal: Journal) -> None:
+    def __init__(
+        self, journal: Journal, setup: Setup | None = None, look: Callable[[Sample], object] = lambda sample: None
+    ) -> None:
+        setup = setup or Setup.of(journal)
+        super().__init__(setup)
         self.journal = journal
-        self.playback = Playback(journal)
-        super().__init__(self.playback.setup)
-        self.sensors = {sensor.serial: sensor for sensor in self.setup.sensors}
-        self.leg: list[RecordedSample] = []
+        self.playback = Playback(setup, journal)
+        self.sensors = {sensor.serial: sensor for sensor in setup.sensors}
+        self.leg: list[Sample] = []
         self.turned: AcceptedPosition | None = None
         self.spans = ReadingSpans(self.setup.sensors)
-        self._channels = self.setup.stage_channels() if isinstance(self.setup.steps, Rotation) else None
+        self._channels = setup.stage_channels() if isinstance(setup.steps, Rotation) else None
         self._rows = array("d")
         self._breaks = 0
-        self._ramp: list[RecordedSample] = []
+        self._ramp: list[Sample] = []
         self.steps = {serial: ReadingStep() for serial in self.sensors}
         # Of a position no more samples than twice those wanted are ever taken.
-        self._samples: deque[RecordedSample] = deque(maxlen=2 * self.setup.settings.samples + 2)
+        self._samples: deque[Sample] = deque(maxlen=2 * setup.settings.samples + 2)
         self._answer: OperatorAnswer | None = None
         self._sampling = False
         for item in self.playback:
-            if isinstance(item, RecordedSample):
+            if isinstance(item, Sample):
+                look(item)
                 self._take(item)
             elif item.kind == ANSWER:
                 self._hear(item.content(OperatorAnswer))
@@ -70,8 +76,13 @@ class RecordedSession(TakenPositions):
     def complete(self) -> bool:
         """Whether all positions are accepted, or the rotation has ended."""
         if self._channels is not None:
-            return self.turned is not None or self.journal.end is not None
+            return self.turned is not None or self.journal.ended
         return not self.open
+
+    def interrupted(self) -> JournalError:
+        """Return the error of a journal without its end, which says how to go on."""
+        why = f"the session was interrupted; continue it with: {self.setup.resume_command(self.journal.path)}"
+        return JournalError(why, file=self.journal.path, line=self.journal.written.events + 2)
 
     @property
     def turning(self) -> bool:
@@ -91,12 +102,12 @@ class RecordedSession(TakenPositions):
         kept = {sensor.serial for sensor in self.at_work}
         return {serial: self.playback.failures.get(serial, "") for serial in self.sensors if serial not in kept}
 
-    def _take(self, sample: RecordedSample) -> None:
-        self.spans.add(sample.readings)
+    def _take(self, sample: Sample) -> None:
+        self.spans.add(sample)
         if not self._sampling:
             return
         if self._channels is not None:
-            row = self._channels.row(sample.now_ns, sample.readings)
+            row = self._channels.row(sample.now_ns, sample)
             if self.playback.breaks > self._breaks and self._rows:
                 self._rows.extend([nan] * len(row))
             self._breaks = self.playback.breaks
@@ -130,15 +141,15 @@ class RecordedSession(TakenPositions):
         else:
             samples = list(self._samples)[-noted.n - noted.left_out :]
             samples = [sample for number, sample in enumerate(samples) if number not in noted.without]
-        if not samples or any(serial not in sample.readings for sample in samples for serial in values):
+        if not samples or any(serial not in sample for sample in samples for serial in values):
             raise self._error(f"accepts {noted.position!r}, and does not hold its samples", event)
         if self.setup.reference is not None:
-            position = set_by(self.setup.reference, position, [sample.readings for sample in samples])
+            position = set_by(self.setup.reference, position, samples)
         result = result_of(
             [self.sensors[serial] for serial in values],
             position,
             asked,
-            [sample.readings for sample in samples],
+            samples,
             self.setup.stamp_after(samples[-1].now_ns),
             typed=typed,
             left_out=noted.left_out,
@@ -187,7 +198,7 @@ class RecordedSession(TakenPositions):
 
         records = {}
         for sensor in self.at_work:
-            timed = [(sample.now_ns / 1e9, sample.readings[sensor.serial]) for sample in self._ramp]
+            timed = [(sample.now_ns / 1e9, sample[sensor.serial]) for sample in self._ramp]
             rows = [
                 (seconds, nan if at_rail(reading, sensor.wired) else reading.temperature, *reading.values)
                 for seconds, reading in timed
@@ -198,11 +209,3 @@ class RecordedSession(TakenPositions):
 
     def _error(self, message: str, event: Event) -> JournalError:
         return JournalError(message, file=self.journal.path, line=event.line)
-
-
-def positions_of(journal: Journal) -> RecordedSession:
-    """Return what a journal holds of its session: the accepted positions, and what a ramp or a rotation has so far.
-
-    JournalError: a driver sends another request than the recorded one, or a position does not give its means.
-    """
-    return RecordedSession(journal)

@@ -19,9 +19,7 @@ from tiltcal.errors import HardwareError, TiltcalError
 from tiltcal.files.bench import BenchFile, BenchSensor, BenchThermometer
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.procedure import find_procedure
-from tiltcal.journal.lines import read_journal
 from tiltcal.journal.reference import uncertainty_with
-from tiltcal.journal.session import positions_of
 from tiltcal.library.calibration import Calibration, PairCalibration
 
 
@@ -31,7 +29,7 @@ def verified(
     """Measure the positions of a session, and judge how calibrations by serial number read them."""
     session.judged = calibrations
     run_session(session, operator)
-    results = positions_of(read_journal(session.files.journal)).results()
+    results = session.recorded.results()
     bench = uncertainty_with(session.setup.reference, BenchUncertainty(session.setup.settings.jig))
     return {
         serial: verify(record, [result.measurements[serial] for result in results], limit, bench)

@@ -31,11 +31,13 @@ from tiltcal.files.calibration import CalibrationRecord, read_calibration
 from tiltcal.files.defaults import Defaults
 from tiltcal.files.device import model_named
 from tiltcal.files.document import read_document
+from tiltcal.files.pair import PairRecord
 from tiltcal.files.procedure import LevelCompletion, Procedure, Rotation, find_procedure
-from tiltcal.journal.calibrations import SessionResult
+from tiltcal.journal.calibrations import texts_of
 from tiltcal.journal.header import Setup, stage_channels
-from tiltcal.journal.lines import read_journal
+from tiltcal.journal.lines import Journal
 from tiltcal.journal.reference import uncertainty_with
+from tiltcal.journal.session import RecordedSession
 from tiltcal.library.calibration import Calibration, PairCalibration
 from tiltcal.options import complete, flag_of, options_of, takes
 from tiltcal.stated_arguments import of_python, require_name
@@ -173,18 +175,18 @@ def measure(procedure: str | Path | None = None, **options: Unpack[MeasureOption
         session = _begun(procedure, given)
     operator = given["operator"] or session.setup.operator
     with led_by(operator, session, "measure", remark, given) as opened:
-        outcome = run_session(session, opened)
-        files = [str(path) for path in session.files.write(outcome.texts(), remark)]
+        made = run_session(session, opened)
+        files = [str(path) for path in session.files.write(texts_of(made), remark)]
         opened.tell(Done(files, str(session.files.journal)))
-        if outcome.lost:
-            raise HardwareError("no calibration file for " + "; ".join(outcome.lost.values()))
-        results = _results(session, outcome, remark, None if operator == "json" else result)
+        if lost := session.recorded.lost:
+            raise HardwareError("no calibration file for " + "; ".join(lost.values()))
+        results = _results(session, list(made.values()), remark, None if operator == "json" else result)
         if operator == "web":
             from tiltcal.library.afterwards import Afterwards
 
             every = results if isinstance(results, list) else [results]
             with suppress(KeyboardInterrupt):  # everything is written
-                Afterwards(opened, session, dict(zip(outcome.calibrations, every, strict=False)), remark).show()
+                Afterwards(opened, session, dict(zip(made, every, strict=False)), remark).show()
     return results
 
 
@@ -212,18 +214,19 @@ def resumed(
     JournalError: it cannot be read or used.
     UsageError: it is not of a verification, or is of one, as ``verifies`` asks.
     """
-    journal = read_journal(path)
+    journal = Journal(path)
     setup = Setup.of(journal)
-    if journal.torn:
-        remark(f"{path}: the last line was torn off and is dropped")
     if setup.verifies != verifies:
         kind = "verification" if setup.verifies else "measurement"
         raise UsageError(f"{path} is of a {kind}; continue it with: {setup.resume_command(path)}")
     require_trusted(journal.header, path, trusted)
+    recorded = RecordedSession(journal, setup)
+    if journal.torn:
+        remark(f"{path}: the last line was torn off and is dropped")
     repeated = [option for option, value in stated.items() if value is not None and value is not False]
     if repeated:
         remark(f"the session goes on as it began: {', '.join(repeated)} beside --resume changes nothing")
-    return Session(setup, path, journal, output)
+    return Session(setup, path, recorded, output)
 
 
 def _begun(procedure: str | Path | None, given: MeasureOptions) -> Session:
@@ -376,13 +379,15 @@ def _remark_notes(
 
 
 def _results(
-    session: Session, outcome: SessionResult, remark: Callable[[str], None], result: Callable[[str], None] | None
+    session: Session,
+    records: Sequence[CalibrationRecord | PairRecord],
+    remark: Callable[[str], None],
+    result: Callable[[str], None] | None,
 ) -> Calibration | PairCalibration | list[Calibration]:
     """Return what a session gives, and remark what limits it."""
-    for name, statistics in outcome.link_statistics.items():
+    for name, statistics in session.recorded.playback.link_statistics().items():
         remark(f"{name}: {link_in_words(statistics)}")
-    setup = session.setup
-    records, steps = list(outcome.calibrations.values()), setup.steps
+    setup, steps = session.setup, session.setup.steps
     if isinstance(steps, Rotation):
         pair = PairCalibration(records[0])
         (result or unheard)(str(pair))

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from difflib import unified_diff
 from pathlib import Path
 
-from tiltcal.errors import JournalError, UsageError
+from tiltcal.errors import UsageError
 from tiltcal.files.calibration_folder import SUFFIXES
 from tiltcal.files.document import read_document
-from tiltcal.journal.calibrations import calibrations_of, interrupted
-from tiltcal.journal.header import Setup
-from tiltcal.journal.lines import Journal, read_journal
+from tiltcal.journal.calibrations import calibrations_of, texts_of
+from tiltcal.journal.lines import Journal
 from tiltcal.journal.outputs import SessionFiles
+from tiltcal.journal.session import RecordedSession
 
 JOURNALS = ".journal.jsonl"
 
@@ -86,23 +86,9 @@ def replay(journal: str | Path) -> Replay:
     --------
     >>> tiltcal.replay("S-0042.journal.jsonl").differences("S-0042.yaml")
     """
-    captured = read_journal(journal)
-    files = SessionFiles(Setup.of(captured), captured.path)
-    return Replay(captured.path, {files.outputs[key].name: text for key, text in texts_of(captured).items()})
-
-
-def texts_of(captured: Journal, say: Callable[[str], None] | None = None) -> Mapping[str, str]:
-    """Return the calibration files of a journal by serial number; one that lacks its end line alone has all positions.
-
-    JournalError: it is unfinished.
-    """
-    try:
-        texts = calibrations_of(captured).texts()
-    except JournalError as unfinished:
-        raise (interrupted(captured) if captured.end is None else unfinished) from None
-    if captured.end is None and say is not None:
-        say(f"{captured.path}: its end line is missing, and all positions are there")
-    return texts
+    recorded = RecordedSession(Journal(journal))
+    files, texts = SessionFiles(recorded.setup, Path(journal)), texts_of(calibrations_of(recorded))
+    return Replay(Path(journal), {files.outputs[serial].name: text for serial, text in texts.items()})
 
 
 def journals_in(paths: Iterable[Path]) -> list[Path]:

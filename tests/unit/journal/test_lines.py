@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from tiltcal.errors import JournalError, UsageError
-from tiltcal.journal.lines import Event, JournalWriter, read_journal
+from tiltcal.journal.lines import Event, Journal, JournalWriter
 
 EVENTS = [
     (48000, "s", "100000", "008f20"),
@@ -37,13 +37,22 @@ def captured(path: Path, *, finished: bool = True) -> bytes:
     return path.read_bytes()
 
 
+def whole(path: Path) -> Journal:
+    """A journal that was read to its last line."""
+    journal = Journal(path)
+    for _ in journal:
+        pass
+    return journal
+
+
 def test_what_was_written_is_read(path: Path) -> None:
     captured(path)
-    journal = read_journal(path)
+    journal = whole(path)
     assert journal.header["serial"] == "Ä-1"
-    assert [(event.dt_ns, event.kind, *event.payload) for event in journal.events] == EVENTS
-    assert next(iter(journal.events)) == Event(2, 48000, "s", ("100000", "008f20"))
-    assert journal.end is not None
+    events = list(Journal(path))
+    assert [(event.dt_ns, event.kind, *event.payload) for event in events] == EVENTS
+    assert events[0] == Event(2, 48000, "s", ("100000", "008f20"))
+    assert journal.ended
     assert not journal.torn
 
 
@@ -63,24 +72,23 @@ def test_every_truncation_gives_the_whole_lines_before_it(path: Path) -> None:
     ends = [index + 1 for index, byte in enumerate(data) if byte == ord("\n")]
     for size in range(ends[0], len(data)):
         path.write_bytes(data[:size])
-        journal = read_journal(path)
-        whole = sum(1 for end in ends if end <= size)
-        assert len(journal.events) == whole - 1
+        journal = whole(path)
+        assert journal.written.events == sum(1 for end in ends if end <= size) - 1
         assert journal.torn == (size not in ends)
-        assert journal.end is None
+        assert not journal.ended
 
 
 @settings(max_examples=300, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
 @given(data=st.data())
 def test_a_changed_byte_is_an_error_that_names_its_line(data, tmp_path_factory) -> None:
     path = tmp_path_factory.mktemp("journal") / "j.jsonl"
-    whole = captured(path)
-    place = data.draw(st.integers(0, len(whole) - 2))
-    byte = data.draw(st.integers(0, 255).filter(lambda byte: byte != whole[place]))
-    path.write_bytes(whole[:place] + bytes([byte]) + whole[place + 1 :])
+    content = captured(path)
+    place = data.draw(st.integers(0, len(content) - 2))
+    byte = data.draw(st.integers(0, 255).filter(lambda byte: byte != content[place]))
+    path.write_bytes(content[:place] + bytes([byte]) + content[place + 1 :])
     with pytest.raises(JournalError) as failure:
-        read_journal(path)
-    assert failure.value.line == whole[:place].count(b"\n") + 1
+        whole(path)
+    assert failure.value.line == content[:place].count(b"\n") + 1
 
 
 def test_a_lost_line_and_one_behind_the_end_are_errors(path: Path) -> None:
@@ -88,7 +96,7 @@ def test_a_lost_line_and_one_behind_the_end_are_errors(path: Path) -> None:
     for content, number in ((lines[:2] + lines[3:], 3), ([*lines, lines[1]], 8)):
         path.write_bytes(b"".join(content))
         with pytest.raises(JournalError, match=rf"jsonl:{number}: "):
-            read_journal(path)
+            whole(path)
 
 
 def test_resumed_it_is_the_journal_of_a_session_that_was_never_stopped(path: Path, tmp_path: Path) -> None:
@@ -96,7 +104,7 @@ def test_resumed_it_is_the_journal_of_a_session_that_was_never_stopped(path: Pat
     data = captured(path, finished=False)
     lines = data.splitlines(keepends=True)
     path.write_bytes(b"".join(lines[:3]) + lines[3][:10])
-    writer = JournalWriter.resume(read_journal(path))
+    writer = JournalWriter.resume(whole(path))
     for event in EVENTS[2:]:
         writer.append(*event)
     writer.finish(3)
@@ -105,18 +113,18 @@ def test_resumed_it_is_the_journal_of_a_session_that_was_never_stopped(path: Pat
 
 
 def test_an_existing_journal_is_never_overwritten(path: Path) -> None:
-    whole = captured(path)
+    content = captured(path)
     with pytest.raises(UsageError, match="resume it with resume"):
         JournalWriter.create(path, {})
-    assert path.read_bytes() == whole
+    assert path.read_bytes() == content
 
 
 def test_two_programs_cannot_write_one_journal(path: Path) -> None:
     writer = JournalWriter.create(path, {})
     with pytest.raises(JournalError, match="another tiltcal"):
-        JournalWriter.resume(read_journal(path))
+        JournalWriter.resume(whole(path))
     writer.close()
-    JournalWriter.resume(read_journal(path)).close()
+    JournalWriter.resume(whole(path)).close()
 
 
 def test_a_link_in_place_of_the_journal_is_not_followed(path: Path) -> None:
@@ -127,20 +135,20 @@ def test_a_link_in_place_of_the_journal_is_not_followed(path: Path) -> None:
 
 
 def test_what_another_process_wrote_since_it_was_read_is_not_cut_off(path: Path) -> None:
-    whole = captured(path, finished=False)
-    path.write_bytes(b"".join(whole.splitlines(keepends=True)[:3]))
-    early = read_journal(path)
-    path.write_bytes(whole)
+    content = captured(path, finished=False)
+    path.write_bytes(b"".join(content.splitlines(keepends=True)[:3]))
+    early = whole(path)
+    path.write_bytes(content)
     with pytest.raises(JournalError, match="since it was read"):
         JournalWriter.resume(early)
-    assert path.read_bytes() == whole
+    assert path.read_bytes() == content
 
 
 def test_what_is_no_journal_is_said_so(path: Path) -> None:
     for content in (b"", b'{"tiltcal-journal"', b"time,x\n1,2\n", b"\x00" * 100 + b"\n", b"{}\n"):
         path.write_bytes(content)
         with pytest.raises(JournalError, match=str(path)):
-            read_journal(path)
+            whole(path)
 
 
 def test_a_disk_that_is_full_leaves_the_journal_whole(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -165,4 +173,4 @@ def test_a_disk_that_is_full_leaves_the_journal_whole(path: Path, monkeypatch: p
     writer.append(*EVENTS[2])
     writer.finish(0)
     writer.close()
-    assert [event.kind for event in read_journal(path).events] == ["s", "!"]
+    assert [event.kind for event in Journal(path)] == ["s", "!"]

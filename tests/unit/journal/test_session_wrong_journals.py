@@ -13,7 +13,8 @@ from support import FIXTURES
 from tiltcal.errors import JournalError, TiltcalError
 from tiltcal.journal.calibrations import calibrations_of
 from tiltcal.journal.header import Setup
-from tiltcal.journal.lines import read_journal
+from tiltcal.journal.lines import Journal
+from tiltcal.journal.session import RecordedSession
 
 WRONG: list[Any] = [None, True, -1, 10**18, 1.5, "x", "zz", "", [], ["x"], {}, {"to": 3}, [[]]]
 
@@ -39,7 +40,7 @@ def written(path: Path, lines: list[Any]) -> Path:
 
 
 def replay(path: Path) -> None:
-    calibrations_of(read_journal(path))
+    calibrations_of(RecordedSession(Journal(path)))
 
 
 def changed(value: Any, depth: int) -> Iterator[Any]:
@@ -96,7 +97,7 @@ def test_a_line_without_an_end_is_not_read_into_memory(tmp_path: Path) -> None:
         stream.write(b'{"tiltcal-journal":2,')
         stream.truncate(10**9)  # a sparse file: a gigabyte that takes no room
     with pytest.raises(TiltcalError, match="longer than any of a journal"):
-        read_journal(path)
+        Journal(path)
 
 
 def test_a_verification_that_completes_a_calibration_is_refused(tmp_path: Path) -> None:
@@ -104,7 +105,7 @@ def test_a_verification_that_completes_a_calibration_is_refused(tmp_path: Path) 
     sensors = [{**sensor, "output": ""} for sensor in header["sensors"]]
     header = {key: value for key, value in header.items() if key != "bases"} | {"sensors": sensors}
     with pytest.raises(JournalError, match=r"header cannot be used: level sets no positions to verify with"):
-        Setup.of(read_journal(written(tmp_path / "j.jsonl", [header, *events])))
+        Setup.of(Journal(written(tmp_path / "j.jsonl", [header, *events])))
 
 
 def test_a_mean_that_the_recorded_bytes_do_not_give_is_refused(tmp_path: Path) -> None:

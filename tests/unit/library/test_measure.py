@@ -17,8 +17,7 @@ from tiltcal.bench.operators import PythonObject
 from tiltcal.cli.main import run
 from tiltcal.drivers.bus.address import Address, parse_address
 from tiltcal.errors import EstimateError, Stopped, UsageError
-from tiltcal.journal.calibrations import calibrations_of
-from tiltcal.journal.lines import read_journal
+from tiltcal.library.replay import replay
 
 SENSOR = {"sensor": "sca100t-d02", "address": "sim:?seed=1", "serial": "S-1", "samples": 4, "settle": 0.2}
 
@@ -84,7 +83,7 @@ def test_a_session_that_a_rig_stopped_goes_on_where_it_stopped() -> None:
     assert isinstance(found, Calibration)
     assert [one["position"] for one in rig.told if "ask" in one] == ["y-tilt1", "y-tilt2"]
     assert found.procedure.set["y-tilt2"].tilt == {"y": -29.5}
-    assert calibrations_of(read_journal("S-1.journal.jsonl")).texts() == {"S-1": Path("S-1.yaml").read_text()}
+    assert replay("S-1.journal.jsonl").texts == {"S-1.yaml": Path("S-1.yaml").read_text()}
 
 
 def test_a_stage_is_turned_by_a_rig() -> None:
