@@ -37,7 +37,6 @@ from tiltcal.files.results import NOISE_ALONE, CompletingRun, FileRecord, Proced
 from tiltcal.files.yaml_text import read_text
 
 REFUSED = 0.001  # sessions are refused where chi-square rises over the separate fits with a probability below this
-
 APART = 0.5  # estimated jig of all sessions above which they contradict, where each alone shows none, degrees
 
 

@@ -21,8 +21,7 @@ from tiltcal.files.results import PositionRecord
 KINDS = {"offset": ("offset.",), "sensitivity": ("sensitivity.", "nonlinearity."), "temperature": ("temperature.",)}
 """The coefficients that ``derived.assumed`` names by their first word."""
 
-UNKNOWN_JIG = 5.0
-"""Standard uncertainty of a set angle where a session states and shows none and others state theirs, degrees."""
+UNKNOWN_JIG = 5.0  # u of a set angle where a session neither states nor shows one and others state theirs, degrees
 
 
 @dataclass(frozen=True)

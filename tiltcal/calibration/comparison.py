@@ -21,13 +21,9 @@ from tiltcal.files.coefficients import TURNS
 from tiltcal.files.results import NOISE_ALONE, PositionSet
 from tiltcal.printable import in_html
 
-ROUNDED = 1e-3
-"""The share of an uncertainty that remains of a difference although both errors are one: files round their numbers."""
-
+ROUNDED = 1e-3  # share of an uncertainty that is left of the difference of one and the same error: files round
 UNDETERMINED = 1e-3  # the positions do not determine a coefficient whose uncertainty is its prior's within this share
-
-_ALIKE = 0.02
-"""Coefficients of two files mean the same if the shares of other terms that they hold differ by less than this."""
+_ALIKE = 0.02  # coefficients of two files mean the same if the shares of other terms in them differ by less
 
 _INCOMPLETE = (
     "the uncertainty of the {which} file rests on noise alone and leaves out how well the positions were set: measure "

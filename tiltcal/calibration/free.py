@@ -22,10 +22,7 @@ from tiltcal.errors import EstimateError, WrongPositions
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.procedure import PositionProcedure
 
-UNCERTAIN, WORTHLESS = 10.0, 50.0
-"""Expanded uncertainty of a coefficient above which it is warned of, and above which a recording that lacks a
-direction is refused, mg."""
-
+UNCERTAIN, WORTHLESS = 10.0, 50.0  # expanded u of a coefficient: warned of; refused where a direction is missing, mg
 UNEQUAL = 1.5  # the largest sensitivity of a direction over the least, beyond which they are those of no sensor
 WARM = 5.0  # a span of temperatures beyond which free attitudes show a drift of the offset, °C
 REACH = 45.0  # a direction is missing where no attitude comes as near, degrees

@@ -123,12 +123,8 @@ def rail_in_words(channel: str, reading: str, rails: tuple[float, float]) -> str
 
 
 STEP = 0.05  # numbers whose step is more than this, g (3° near level), have too few digits
-LEAST_ANGLE = 15.0
-"""Channels whose directions are closer together are one channel twice, degrees; ours: no part is so skew."""
-
-REACTION = 3.0
-"""Expanded uncertainties that a sensitivity must be apart from zero: noise alone is beyond one of them in 5 of 100."""
-
+LEAST_ANGLE = 15.0  # channels whose directions are closer are one channel twice, degrees; ours: no part is so skew
+REACTION = 3.0  # expanded uncertainties that a sensitivity must be above zero: by one, noise is in 5 of 100
 ROUNDING = 1e-9  # the share of a reading below which a sensitivity is a rounding error
 CLEARLY = 2.0  # so many times the sensitivity to its own axis, or to what its unit says, is another axis or unit; ours
 

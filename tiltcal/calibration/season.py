@@ -294,9 +294,7 @@ def _without_measured(record: CalibrationRecord) -> CalibrationRecord:
 
 
 FEWEST_SENSORS = 3  # sensors of one model that make a distribution
-
-FAR = 5.0
-"""A sensor is an outlier where a coefficient is so many robust standard deviations from the median of its fleet."""
+FAR = 5.0  # robust standard deviations from the median of its fleet beyond which a sensor is an outlier
 
 
 @dataclass(frozen=True)

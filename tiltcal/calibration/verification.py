@@ -26,9 +26,7 @@ PASSED, FAILED, UNDECIDED = "passed", "failed", "not decided"
 LIMIT = 0.5  # the largest tilt error that passes where none is stated, degrees
 EXACT = BenchUncertainty()  # positions count as exact where nothing is stated of the bench
 STEEP = cos(radians(89.0))  # the slope of an arcsine is followed up to this far from level
-
-ANGLE, DIRECTION = 1.959964, 2.447747
-"""Coverage factors for 95 % of an error in one angle, and of one in two (the root of chi-square's quantile)."""
+ANGLE, DIRECTION = 1.959964, 2.447747  # 95 % coverage factors of an error in one angle and in two (root of chi-square)
 
 
 @dataclass(frozen=True)

@@ -19,12 +19,9 @@ from tiltcal.files.procedure import FreePositions, LevelCompletion, MountingComp
 from tiltcal.files.results import FitRecord, MountingFit
 
 INCREDIBLE = 1e-3  # probability of a chi-square below which it is not credible
-
-NOT_FOLLOWED = "was not seen to follow"
-ONE_VALUE = "it showed one value"
+NOT_FOLLOWED = "was not seen to follow"  # in the note on a channel that showed one value or two in a whole session
+ONE_VALUE = "it showed one value"  # likewise
 LOST_HOLDS = "holds are left out for a rail or standstill, which is not credible"
-"""What a note says of a channel that showed at most two neighbouring values in a whole session."""
-
 REMARKABLE = 0.05  # probability of a chi-square below which it is remarked
 LARGEST_ESTIMATED_JIG = 5.0  # estimated jig above which a calibration is judged failing, degrees
 LARGEST_AGREEMENT = 0.3  # and above which it is asked what happened: of a table that moves by itself it is a verdict

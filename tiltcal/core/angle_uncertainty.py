@@ -32,10 +32,7 @@ from tiltcal.core.uncertain import ALIGNMENT, NEGLIGIBLE, NORMAL_FACTOR, READING
 from tiltcal.errors import EstimateError
 
 HALF_TURN = pi  # no half width is more, radians
-
-CIRCLE = 1.2489
-"""Radius of the circle that holds 95 % of the errors in two directions, over the half width that holds them in one."""
-
+CIRCLE = 1.2489  # radius of the circle that holds 95 % of errors in two directions, over the half width for one
 _EXACT = 1e-9  # part of a square below which its error changes nothing else
 _CURVED = 0.02  # the second-order part of an arcsine above which its interval is taken through it
 _ATTITUDES, _ROUNDING = 9, 1e-9  # values of g_x and of g_y at which the length of gravity is tried; g
@@ -43,8 +40,7 @@ _SCALES = 10.0 ** np.clip(3 - np.floor(np.log10(2.0) * (np.arange(2048.0) - 1023
 _MANTISSA = np.uint64(52)  # bits behind the exponent of a double
 
 
-_Errors = dict[tuple[int, int], Array]
-"""Covariances of the signals of some rows, behind them of the turns, by pair, shape (n,) each."""
+_Errors = dict[tuple[int, int], Array]  # covariances of the signals of rows, behind them of the turns, by pair, (n,)
 
 
 class CompensationWithUncertainty:

@@ -38,9 +38,7 @@ LENGTH_TOLERANCE = 0.02  # a length of gravity that differs from 1 g by more is 
 SHORTEST, LONGEST = 0.5, 2.0  # lengths of gravity beyond which three axes have no tilt, g
 _EDGE = cos(radians(45.0))  # the z component between those of a sensor near level and of one on edge
 _OVER = -sin(radians(5.0))  # element zz of the mounting below which two axes hang upside down: an estimate is no sign
-CHUNK, UNCERTAIN_CHUNK = 32_768, 8192
-"""Rows whose columns stay in the cache from the first step to the last; and with the derivatives of uncertainties."""
-
+CHUNK, UNCERTAIN_CHUNK = 32_768, 8192  # rows that stay in the cache from step to step; and with derivatives
 _ROUNDING = 1e-12  # g: an argument this close to a bound is at the bound, whatever the order of the arithmetic
 _TILT_SLACK = radians(1e-9)
 _LARGEST_CONDITION = 1e12

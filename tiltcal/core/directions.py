@@ -19,9 +19,7 @@ from tiltcal.core.model import AXES, Array
 
 ALL = "all"
 
-Directions = tuple[Vector, ...] | str
-"""The directions that were met, unit vectors in the sensor's own frame; ALL where their hull is the whole sphere."""
-
+Directions = tuple[Vector, ...] | str  # unit vectors that were met, in the sensor's frame; ALL: their hull is a sphere
 _MARGIN = cos(radians(5.0))  # a row that is no further than this from a direction is inside
 _FLAT = 1e-6  # components below this are zero, g
 _ROUNDING = 1e-12

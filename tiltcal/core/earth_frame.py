@@ -59,9 +59,7 @@ from tiltcal.errors import EstimateError
 HEADING = "heading"
 VELOCITY = ("v_east", "v_north", "v_up")
 
-_VANISHES = 1e-6
-"""A horizontal part below this share of the whole has no direction in double precision that means anything."""
-
+_VANISHES = 1e-6  # a horizontal part below this share of the whole has no direction in double precision
 FIELD_TOLERANCE = 0.05  # the share of its usual length by which the field may differ
 _USUAL = 1000  # rows of which the median length of the field is the usual one
 

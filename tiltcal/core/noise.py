@@ -29,8 +29,7 @@ from tiltcal.core.samples import even_step, rounding_uncertainty
 from tiltcal.core.uncertain import COVERAGE
 from tiltcal.errors import EstimateError
 
-Kind = Literal["white", "flicker", "walk"]
-"""Noise whose deviation falls with the root of τ, does not change, or grows with the root of τ."""
+Kind = Literal["white", "flicker", "walk"]  # its deviation falls with the root of τ, stays, or grows with it
 
 Limit = Literal["target", "record", "rounding", "flicker", "walk", "drift", "unknown"]
 """What sets the number of samples: the target; the end of the record; or rounding, flicker noise, random walk, drift or
@@ -49,13 +48,8 @@ _FEWEST_AVERAGES = 5  # fewest averages of a size that is listed
 _FEWEST_OCTAVES = 6  # fewest octaves left when short ones are set aside
 _SIZES = 12_000  # numbers of samples that are tried, evenly in their logarithm
 _CHUNK = 1 << 16  # samples that are summed up at once
-
-_MOST_DOF = 1000.0
-"""Weight an octave by at most so many degrees of freedom: four terms describe no deviation to better than 2 %."""
-
-_WORTH = 8.0
-"""Accept a kind of noise that lowers the deviance by more than this; chance does it once in two hundred records."""
-
+_MOST_DOF = 1000.0  # of an octave that count: four terms describe no deviation to better than 2 %
+_WORTH = 8.0  # fall of the deviance that a kind of noise must bring; chance brings it once in two hundred records
 _CREDIBLE = 1e-3  # accept the kinds of noise if chance makes a worse deviance more often than this
 _GAIN = 0.1  # more samples help where twice as many lower the uncertainty by this share
 

@@ -16,20 +16,11 @@ from tiltcal.core.angle_readings import AngleReadings
 from tiltcal.core.attitude import Vector
 from tiltcal.core.model import AXES, Array
 
-POSE = sin(radians(1.5))
-"""How far a careful operator may be off, g: well above any jig, well below the distance of two positions."""
-
-MATCHED, ODD = 5.0, 8.0
-"""Standard deviations from which a reading is refused: where another position fits better, and where none does."""
-
-UNKNOWN_OFFSET = 1.0
-"""An offset whose standard deviation over parts is above this is not known, g: it predicts no reading by itself."""
-
+POSE = sin(radians(1.5))  # how far a careful operator may be off, g: above any jig, below the distance of two positions
+MATCHED, ODD = 5.0, 8.0  # deviations from which a reading is refused: another position fits better, or none
+UNKNOWN_OFFSET = 1.0  # an offset with a larger standard deviation over parts is not known, g: it predicts no reading
 SAME_TILT = radians(5.0)  # attitudes closer than this are one attitude taken again
-
-CROSS_SPREAD = 0.03
-"""Standard deviation of a cross-axis sensitivity over parts, relative to the main one (4 % at most, SCA100T)."""
-
+CROSS_SPREAD = 0.03  # standard deviation of a cross-axis sensitivity over parts, of the main one (SCA100T: 4 % at most)
 OFFSET_FLOOR = 0.03  # offsets may differ by this much more than the part's specification: boards are soldered askew, g
 DRIFT = 0.005  # how far an offset may move per °C before the drift is known, g/°C: the ADXL202's worst part
 

@@ -42,8 +42,7 @@ _LOOKED_AT = 1 << 18  # number of first samples from which the step is found
 _MOST_VALUES = 4096  # a reading of more different values is continuous
 _WHOLE = 0.01  # largest distance of rounded readings from whole steps, in steps
 _REPEATED = 4.0  # fewest samples per value of a rounded reading, on average
-_EVEN = 0.02
-"""How far the distances of values may be off whole steps, in steps: readings are written with so many digits."""
+_EVEN = 0.02  # how far distances of values may be off whole steps, in steps: readings have so many digits
 _SAME_NOISE = 0.01  # variances are one where chance scatters their logarithms as much with at least this probability
 _CORRELATED = 4.0  # standard deviations above the correlation of white noise's block means from which it is no chance
 _POSSIBLE = 1.5  # and from which it counts, without a remark: white noise shows as much in one session of fifteen

@@ -19,18 +19,10 @@ from numpy.typing import NDArray
 from tiltcal.core.model import Array, Coefficients, referred, values, vector_of, with_vector
 
 COVERAGE = 0.95  # probability that a stated interval contains the truth
-
-NORMAL_FACTOR = 1.959963984540054
-"""The coverage factor of a variance that is known: the normal distribution is within so many deviations in 95 %."""
-
+NORMAL_FACTOR = 1.959963984540054  # coverage factor of a known variance: so many deviations hold 95 %
 NEGLIGIBLE = 1e-3  # a coverage factor that exceeds the normal one by less than this share counts as the normal one
-
-TURN = "mounting.turn."
-"""A small rotation error of the mounting about one of the application's axes, radians, by its dotted name."""
-
-READING, ALIGNMENT = "single_reading.", "alignment"
-"""Errors of one reading of a log, by channel, and of its ``temperature``; and of how the sensor sits, radians."""
-
+TURN = "mounting.turn."  # a small rotation error of the mounting about an axis of the application, radians
+READING, ALIGNMENT = "single_reading.", "alignment"  # of a reading of a log, by channel; of how a sensor sits, radians
 _FOLLOWS = 1e-12  # an error follows from others if no larger share of its variance is its own: rounding leaves so much
 _STEP = 1e-4  # step of a coefficient for derivatives, in its uncertainty
 

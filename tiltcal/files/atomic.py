@@ -14,9 +14,7 @@ from tiltcal.errors import UsageError
 from tiltcal.stated_arguments import require_path
 
 BINARY = int(getattr(os, "O_BINARY", 0))  # the flag of :func:`os.open` that keeps Windows from changing line ends
-
-_NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS)
-"""Failures of the output; any other that leaves the caller's block is about something else."""
+_NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS)  # failures of the output; others are the caller's
 
 
 @contextmanager

@@ -138,8 +138,7 @@ class TiltFile(Record, kw_only=True):
     provenance: Annotated[Provenance, about("how it was made")] = Provenance()
 
 
-RECORDS = ("derived", "fit", "procedure", "positions", "provenance")
-"""The sections that are the same in a file and in its record."""
+RECORDS = ("derived", "fit", "procedure", "positions", "provenance")  # alike in a file and in its record
 
 
 @dataclass(frozen=True)

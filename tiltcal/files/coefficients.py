@@ -33,11 +33,8 @@ _SINGULAR = 1e-9  # smallest over largest singular value below which a sensitivi
 _ANGLE_DIGITS = 12
 
 STEEP = 0.1  # least slope of a bent characteristic relative to the straight one
-
-Bend = ByAxis[Annotated[tuple[Finite, ...], Meta(max_length=2)]]
-"""The shares of the square and the cube for all channels."""
-Polynomials = ByAxis[Annotated[tuple[Finite, ...], Meta(max_length=ORDER_LIMIT)]]
-"""Coefficients of dT, dT², ... for some of the channels."""
+Bend = ByAxis[Annotated[tuple[Finite, ...], Meta(max_length=2)]]  # shares of the square and the cube for all channels
+Polynomials = ByAxis[Annotated[tuple[Finite, ...], Meta(max_length=ORDER_LIMIT)]]  # of dT, dT², ... for some
 
 
 class ThermalSection(Record, kw_only=True):
@@ -189,8 +186,7 @@ def _nonlinearity(
     return table
 
 
-SHAPED = ("offset", "sensitivity", "nonlinearity", "temperature", "mounting")
-"""What has the shape of the ``calibration`` section."""
+SHAPED = ("offset", "sensitivity", "nonlinearity", "temperature", "mounting")  # what has the shape of `calibration`
 
 TEMPERATURE = "temperature"
 

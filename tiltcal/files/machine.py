@@ -77,8 +77,7 @@ class Machine(Record, kw_only=True):
 
 NEEDED = {"text": ("address", "set", "read", "pattern"), "modbus": ("address", "registers"), "object": ("objects",)}
 """The keys that a kind needs."""
-OPTIONAL = ("greeting", "start", "accepted", "failed", "read_alone", "done", "stop")
-"""The keys that the kind text may have beside them."""
+OPTIONAL = ("greeting", "start", "accepted", "failed", "read_alone", "done", "stop")  # the kind text may have them
 
 
 def check_machine(machine: Machine, place: Document, axes: tuple[str, ...]) -> None:

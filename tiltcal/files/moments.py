@@ -21,8 +21,7 @@ def moment(text: str | date, path: str | Path | None = None) -> datetime:
     return found.replace(tzinfo=UTC) if found.tzinfo is None else found.astimezone(UTC)
 
 
-LEAST_SECONDS, MOST_SECONDS = 1e8, 253402300799.0
-"""Since 1970, up to the end of the year 9999: what counts fewer or more is no moment."""
+LEAST_SECONDS, MOST_SECONDS = 1e8, 253402300799.0  # since 1970, to the end of 9999: fewer or more are no moment
 
 
 def moment_after(start: datetime, elapsed_ns: int) -> datetime:

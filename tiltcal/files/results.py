@@ -28,8 +28,7 @@ from tiltcal.printable import in_html
 if TYPE_CHECKING:
     from tiltcal.core.attitude import Vector
 
-NOISE_ALONE = "noise alone: no jig is stated, and no position is left over"
-"""Where an uncertainty comes from that leaves out how well the positions were set."""
+NOISE_ALONE = "noise alone: no jig is stated, and no position is left over"  # leaves out how well they were set
 VIRTUAL = "the virtual bench: no real sensor was measured"  # ``made_by`` of a file that no real sensor made
 
 Names = tuple[Text, ...]

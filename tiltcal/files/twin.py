@@ -24,9 +24,7 @@ FAULTS = ("parity", "stuck", "silent", "unplugged")
 
 LARGEST = 1e12  # no sensor reads more, in any unit
 SLOWEST = 1e-3  # lines a second of a virtual line, at least
-
-LEAST_OWN = 1e-6
-"""Least sensitivity of a channel to its own axis, over its largest one: its nonlinearity is counted along it."""
+LEAST_OWN = 1e-6  # least sensitivity of a channel to its own axis, over its largest: its nonlinearity is along it
 
 
 class FaultSection(Record, kw_only=True):

@@ -28,8 +28,7 @@ from tiltcal.logs.options import ApplyOptions
 from tiltcal.options import complete, takes
 from tiltcal.printable import in_html
 
-Frame = TypeVar("Frame")
-"""A frame of any kind: the same kind comes back; without their stubs those of pandas and pyarrow are Any."""
+Frame = TypeVar("Frame")  # the same kind comes back; without their stubs those of pandas and pyarrow are Any
 
 
 @dataclass(frozen=True, eq=False)

@@ -29,9 +29,7 @@ _WEAKEST = 0.1  # amplitude over the first accelerometer's below which nothing c
 _LEAST_ANGLE = 0.1  # sine of the phase between first and orthogonal
 _SMALLEST = 1e-140  # amplitude below which squares are lost in double precision
 _CLEAREST = 5.0  # standard uncertainties that the common acceleration must have
-
-_DRIFTS = 5.0
-"""Drift over its standard uncertainty, of eight degrees of freedom, that chance makes once in a thousand records."""
+_DRIFTS = 5.0  # standard uncertainties (8 dof) beyond which a drift counts; chance: one record in a thousand
 
 
 @dataclass(frozen=True)
