@@ -27,13 +27,7 @@ Array = NDArray[np.float64]
 
 AXES = ("x", "y", "z")
 
-_KINDS = (
-    "offset.",
-    "sensitivity.",
-    "temperature.offset.",
-    "temperature.sensitivity.",
-    "nonlinearity.",
-)  # the order of the names
+_KINDS = ("offset.", "sensitivity.", "temperature.offset.", "temperature.sensitivity.", "nonlinearity.")  # in order
 NEWTON_STEPS = 4  # iterations of the nonlinearity's inverse: 5 % needs three for double precision
 
 

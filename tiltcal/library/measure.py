@@ -47,19 +47,9 @@ _NOT_PREDICTED = (
     "after n samples of noise s, where A is the amplitude of an accelerometer at the spin frequency"
 )
 
-NOT_REPEATED = (
-    "output",
-    "resume",
-    "operator",
-    "plain",
-    "python",
-    "hands_free",
-    "listen",
-    "defaults",
-    "remark",
-    "result",
-)
-"""The options that a session which goes on may have anew."""
+NOT_REPEATED = (  # the options that a session which goes on may have anew
+    "output", "resume", "operator", "plain", "python", "hands_free", "listen", "defaults", "remark", "result",
+)  # fmt: skip
 
 
 @takes(PlanOptions)
