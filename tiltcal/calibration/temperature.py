@@ -375,15 +375,10 @@ def _estimate(
 
 
 def _sources(
-    fit: RampFit,
-    design: Design,
-    coefficients: Coefficients,
-    up: Array,
-    gain: Array | float,
-    known: CalibrationRecord | None,
+    fit: RampFit, design: Design, found: Coefficients, up: Array, gain: Array | float, known: CalibrationRecord | None
 ) -> Iterator[Uncertain]:
     """Yield what each source adds to the uncertainty of the coefficients: the record, and what is stated."""
-    names = [name for model in coefficients.models for name in model.coefficients]
+    names = [name for model in found.models for name in model.coefficients]
     column = dict(zip(names, np.eye(len(names)), strict=True))
     offsets = np.stack([column[f"offset.{channel}"] for channel in design.channels], axis=1)
     terms = ("offset.{}", *(f"temperature.offset.{{}}.{power}" for power in range(1, fit.order + 1)))
@@ -398,9 +393,9 @@ def _sources(
     yield errors(NOISE, by_record, fit.covariance)
     if fit.loop_covariance.any():
         yield errors(HYSTERESIS, by_record, fit.loop_covariance)
-    readings = coefficients.read(up[None, :])
+    readings = found.read(up[None, :])
     slope = np.stack([column[f"temperature.offset.{channel}.1"] for channel in design.channels], axis=1)
-    signal = coefficients.predict(up[None, :])[0] - coefficients.offset
+    signal = found.predict(up[None, :])[0] - found.offset
     yield errors(PRIOR, slope, np.diag((gain * signal) ** 2))
     if known is not None:
         base = known.uncertain.without("temperature.", TURN)
@@ -409,7 +404,7 @@ def _sources(
     # An offset follows a sensitivity that stands in: the reading is what it was.
     stands_in = [
         prior.u * (column[name] - derivative * offset)
-        for model, reading, offset in zip(coefficients.models, readings, offsets.T, strict=True)
+        for model, reading, offset in zip(found.models, readings, offsets.T, strict=True)
         for name, derivative in zip(model.coefficients, reading.by_coefficient[0].tolist(), strict=True)
         if (prior := design.priors.get(name)) is not None and prior.u and name in column
     ]
