@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import accumulate, pairwise, repeat
 from math import ceil
 from operator import mul
@@ -92,32 +93,38 @@ class Demodulation:
         if variance <= 0.0 or len(self.scores) < 2:
             return 1.0
 
-        def scatter(scores: Array, weights: Array) -> tuple[float, int]:
-            squares = np.einsum("bi,bij,bj->b", scores, np.linalg.pinv(weights), scores)
+        def scatter(scores: Array, inverse: Array) -> tuple[float, int]:
+            squares = np.einsum("bi,bij,bj->b", scores, inverse, scores)
             dof = max(2 * len(scores) - 2, 1)
             return float(squares.sum()) / variance / dof, dof
 
-        fine, dof = scatter(self.scores @ mix, self.weights)
+        fine, dof = scatter(self.scores @ mix, self._inverse_weights)
         power, freedom = (_WHITE + dof * fine) / (_WHITE + dof), _WHITE + dof
         if len(self.scores) >= 4 * COARSE_BLOCKS:
-            coarse, coarse_dof = scatter(*self._coarse(mix))
+            scores, _, inverse = self._coarse
+            coarse, coarse_dof = scatter(scores @ mix, inverse)
             if fdtrc(coarse_dof, dof, coarse / power) < _SURPRISE:  # slower than a turn: amplitudes that wander
                 power, freedom = coarse, coarse_dof
         return power * freedom / (freedom - 2.0)
 
     def stretches(self, weights: Mapping[str, float]) -> Array:
         """Components of what is left of a mix in each of :data:`COARSE_BLOCKS` stretches, shape (stretches, 2)."""
-        scores, products = self._coarse(self._mix(weights))
-        return np.asarray(np.linalg.solve(products, scores[..., None])[..., 0])
+        scores, products, _ = self._coarse
+        return np.asarray(np.linalg.solve(products, (scores @ self._mix(weights))[..., None])[..., 0])
 
     def _mix(self, weights: Mapping[str, float]) -> Array:
         return np.array([weights.get(channel, 0.0) for channel in self.channels])
 
-    def _coarse(self, mix: Array) -> tuple[Array, Array]:
-        """Scores of a mix, shape (groups, 2), and weights, shape (groups, 2, 2), of groups of blocks."""
+    @cached_property
+    def _inverse_weights(self) -> Array:
+        return np.asarray(np.linalg.pinv(self.weights))
+
+    @cached_property
+    def _coarse(self) -> tuple[Array, Array, Array]:
+        """Scores, shape (groups, 2, channels), weights, (groups, 2, 2), and their inverses of groups of blocks."""
         groups = np.array_split(np.arange(len(self.scores)), COARSE_BLOCKS)
         scores, weights = (np.stack([of[group].sum(axis=0) for group in groups]) for of in (self.scores, self.weights))
-        return scores @ mix, weights
+        return scores, weights, np.linalg.pinv(weights)
 
 
 def demodulate(
