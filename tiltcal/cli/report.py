@@ -102,10 +102,7 @@ def _look_over(log: str, calibration: CalibrationRecord, file: Path, columns: st
     """Return the overview of a log, to whose readings the calibration is applied."""
     stated = complete(ApplyOptions, {"columns": columns})
     prepared = prepare(calibration, stated, file=file)
-    with (
-        progress_bar("report") as progress,
-        open_log(log, skip_bad_rows=skip_bad_rows, progress=progress) as rows,
-    ):
+    with progress_bar("report") as progress, open_log(log, skip_bad_rows=skip_bad_rows, progress=progress) as rows:
         clock = named_columns(columns, prepared.channels).get(TIME, TIME)
         time = rows.names.index(clock) if clock in rows.names else None
         overview = look_over(rows, prepared, stated, time)

@@ -87,10 +87,7 @@ def is_judgement(name: str) -> bool:
 
 
 def describe(
-    name: str,
-    added: Sequence[str],
-    like: Mapping[str, Any],
-    units: Mapping[str, str | None] | None = None,
+    name: str, added: Sequence[str], like: Mapping[str, Any], units: Mapping[str, str | None] | None = None
 ) -> dict[str, Any]:
     """Return the attributes of one of the ``added`` columns.
 

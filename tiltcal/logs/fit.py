@@ -13,13 +13,7 @@ import numpy as np
 
 import tiltcal
 from tiltcal.calibration.calibrate import calibrate
-from tiltcal.calibration.measurement import (
-    BenchUncertainty,
-    MeasuredSensor,
-    Measurement,
-    rails_of,
-    require_tilt,
-)
+from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement, rails_of, require_tilt
 from tiltcal.calibration.priors import SENSITIVITY_FROM
 from tiltcal.calibration.record import bases_of
 from tiltcal.column_guess import LENGTHS
@@ -37,20 +31,8 @@ from tiltcal.files.moments import stamp_of
 from tiltcal.files.procedure import PositionProcedure, Ramp, find_procedure
 from tiltcal.files.record import Record, keys_of
 from tiltcal.files.results import FileRecord, Provenance, SegmentsRecord
-from tiltcal.files.tables import (
-    Segment,
-    SegmentRow,
-    TabledRow,
-    read_positions,
-    read_segments,
-    tabled_channels,
-)
-from tiltcal.logs.columns import (
-    ReadingsHeader,
-    named_columns,
-    readings_header,
-    require_units,
-)
+from tiltcal.files.tables import Segment, SegmentRow, TabledRow, read_positions, read_segments, tabled_channels
+from tiltcal.logs.columns import ReadingsHeader, named_columns, readings_header, require_units
 from tiltcal.logs.frames import FrameReader, rows_of
 from tiltcal.logs.log import Progress
 from tiltcal.logs.options import FitOptions, Remark

@@ -123,10 +123,7 @@ def match_log(
             advice=("name the column of the stage angle, or record the log and leave ", Argument("online"), " out"),
         )
     channels = tuple(dict.fromkeys(channel for pair in pairs for channel in pair.channels))
-    with (
-        open_log(data, skip_bad_rows=skip_bad_rows, live=online, progress=progress) as log,
-        _explained(log, phase),
-    ):
+    with open_log(data, skip_bad_rows=skip_bad_rows, live=online, progress=progress) as log, _explained(log, phase):
         read = read_pair_log(log, channels, phase, say=say)
         whole, course = read.demodulation, list[tuple[float, float, float, float]]()
         if online:
@@ -187,11 +184,7 @@ def _with_rounding(estimate: PairCoefficients, demodulation: Demodulation, pair:
 
 
 def read_pair_log(
-    log: LogReader,
-    channels: Sequence[str],
-    phase: str | None,
-    *,
-    say: Callable[[str], None] = lambda line: None,
+    log: LogReader, channels: Sequence[str], phase: str | None, *, say: Callable[[str], None] = lambda line: None
 ) -> PairLog:
     """Read a log to its end, and demodulate its readings; say which channel is stuck, and from which row on.
 

@@ -17,13 +17,7 @@ from numpy.typing import NDArray
 from tiltcal.calibration.measurement import Measurement, rail_in_words
 from tiltcal.calibration.wording import LOST_HOLDS
 from tiltcal.column_names import TEMPERATURE, TIME
-from tiltcal.core.detection import (
-    LEFT_OUT,
-    TEMPERATURE_JUMP,
-    identical_by_chance,
-    noise_of_positions,
-    outliers,
-)
+from tiltcal.core.detection import LEFT_OUT, TEMPERATURE_JUMP, identical_by_chance, noise_of_positions, outliers
 from tiltcal.core.model import Array
 from tiltcal.core.samples import SampleSummary, resolution, summarise
 from tiltcal.errors import InputError

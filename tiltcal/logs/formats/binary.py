@@ -7,11 +7,7 @@ from tiltcal.errors import InputError
 _PYTHON = "in Python: pandas.DataFrame({of}).to_csv('log.csv', index=False)"
 
 KINDS: tuple[tuple[bytes, str, str], ...] = (
-    (
-        b"PK\x03\x04",
-        "a ZIP archive, as Excel's .xlsx and ActiGraph's .gt3x are",
-        "save the sheet as CSV, or unpack it",
-    ),
+    (b"PK\x03\x04", "a ZIP archive, as Excel's .xlsx and ActiGraph's .gt3x are", "save the sheet as CSV, or unpack it"),
     (b"\xd0\xcf\x11\xe0", "an Excel file (.xls)", "save the sheet as CSV"),
     (b"MATLAB 5.0", "a MATLAB file (.mat)", "in MATLAB: writematrix(data, 'log.csv')"),
     (b"\x93NUMPY", "an array of numpy (.npy)", _PYTHON.format(of="numpy.load('log.npy')")),
