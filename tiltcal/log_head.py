@@ -37,7 +37,7 @@ SEPARATORS = (",", ";", "\t", "|", " ")  # of the fields of a row, the likeliest
 LONGEST_PATTERN = 2000  # characters of a line with labels
 FEW = 20  # lines of which all show how rows are written, not the later half of them
 
-_OPEN_DATE = re.compile(r"(\d{1,2})[-/](\d{1,2})[-/](?:\d{4}|\d\d)(?!\d)")
+OPEN_DATE = re.compile(r"(\d{1,2})[-/](\d{1,2})[-/](?:\d{4}|\d\d)(?!\d)")
 _ARRAY = re.compile(r"\s*\[\s*\{")
 _THOUSANDS, _WITH_POINT = re.compile(r"[-+]?\d{1,3}(?:,\d{3})+"), re.compile(r"[-+]?\d*\.\d+")
 _MIXED = re.compile(r"\d[ \t]*+[,;|][ \t]*+[-+.\d]|\d[ \t]++[-+.\d]")
@@ -239,7 +239,7 @@ def _table_of(lines: Sequence[str], later: Sequence[int], comments: tuple[str, .
 
 def _order_of_dates(cells: Iterable[str]) -> str:
     """Return what is first in dates that begin with neither the year nor the name of a month, by those beyond 12."""
-    found = [(int(date[1]), int(date[2])) for cell in cells if (date := _OPEN_DATE.match(cell))]
+    found = [(int(date[1]), int(date[2])) for cell in cells if (date := OPEN_DATE.match(cell))]
     day, month = (any(pair[place] > 12 for pair in found) for place in (0, 1))
     return "" if not found else "open" if day == month else "day" if day else "month"
 

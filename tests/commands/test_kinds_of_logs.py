@@ -148,3 +148,18 @@ def test_the_first_times_of_a_log_decide_their_unit() -> None:
     parts = [clock.seconds(part, None, None, "log.csv")[0] for part in (times[:10], times[10:])]
     assert np.concatenate(parts).tolist() == times.tolist()
     assert clock.remarks == []
+
+
+def test_times_with_a_decimal_comma_have_the_unit_of_their_header(tmp_path: Path) -> None:
+    rows = [f"{k / 600:.6f};0;0;1".replace(".", ",") for k in range(100)]
+    (tmp_path / "log.csv").write_text("\n".join(["time (min);x;y;z", *rows, ""]))
+    assert "100 rows, 10 Hz" in tiltcal("probe", "log.csv", cwd=tmp_path).stdout
+
+
+def test_dates_that_leave_their_order_open_are_named(tmp_path: Path) -> None:
+    rows = [f"01/03/2026 09:00:{k:02},0,0,{1 + k % 2}" for k in range(30)]
+    (tmp_path / "log.csv").write_text("\n".join(["time,x,y,z", *rows, ""]))
+    assert "whose order of day and month nothing shows" in tiltcal("probe", "log.csv", cwd=tmp_path).stdout
+    refused = tiltcal("noise", "log.csv", "--unit", "g", cwd=tmp_path)
+    assert refused.returncode == 2
+    assert "log.csv:2: column 'time' holds '01/03/2026 09:00:00', and nothing shows whether the day" in refused.stderr

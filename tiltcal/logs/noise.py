@@ -174,7 +174,7 @@ def characterise_readings(
         where = {channel: located[channel] for channel in channels}
         if rate is None:
             where[TIME] = _time_column(log, named)
-        numbers = read_columns(log, where)
+        numbers = read_columns(log, where, needs_time=True)
     said = [*log.remarks, *log.clock.remarks]
     if scale.unit is None and not header.units and (unit := _unit_at_rest(numbers.of(channels))):
         scale = scale_of(unit)
@@ -221,7 +221,7 @@ def evenly_spaced(columns: list[Array], times: Array, file: str) -> tuple[list[A
     usual = (float(np.median(singles)) or float(np.mean(singles))) if len(singles) else 0.0
     if usual <= 0.0:
         why = "its times do not change" if len(singles) else "it has no two rows with a time"
-        why = why if len(rows) else "its times are neither seconds nor ISO 8601"
+        why = why if len(rows) else "no row has a time"
         raise InputError((f"its sample rate is unknown: {why}; state it with ", RATE), file=file)
     milliseconds = times[rows[:1000]] / _MILLISECOND
     steps[again] = 2.0 * usual  # where the clock starts again, at least a row is lost

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from tiltcal.core.model import Array
 from tiltcal.dialect import MISSING
+from tiltcal.log_head import OPEN_DATE
 
 if TYPE_CHECKING:
     import polars as pl
@@ -202,8 +203,13 @@ def unread_time(cells: pl.Series, name: str) -> tuple[int, str] | None:
     present = (~texts.str.to_lowercase().is_in([*MISSING])).arg_true()
     if present.is_empty():
         return None
-    why = f"column {name!r} holds {texts[present[0]]!r}, neither seconds nor ISO 8601: write it as {_EXAMPLE}"
-    return int(present[0]), why
+    text = texts[present[0]]
+    what = (
+        "and nothing shows whether the day or the month is first"
+        if OPEN_DATE.match(text)
+        else "neither seconds nor ISO 8601"
+    )
+    return int(present[0]), f"column {name!r} holds {text!r}, {what}: write it as {_EXAMPLE}"
 
 
 def no_time_yet(rows: int, use: str) -> str:

@@ -168,6 +168,7 @@ def _layout(log: LogReader) -> dict[str, Any]:
         "fields by": how,
         "decimal": "comma" if found.decimal == "," else None,
         "clock in front": "yes" if found.has_clock else None,
+        "dates": "whose order of day and month nothing shows" if found.dates == "open" else None,
         "encoding": log.text.encoding,
     }
 

@@ -102,7 +102,7 @@ class RowGrammar:
             if wrong is not None:
                 return None
         texts = {index: frame[str(index)].replace("", None) for index in self.texts}
-        times = None if self.time is None else frame[str(self.time)]
+        times = None if self.time is None else self.dialect.with_points(frame[str(self.time)], moments=True)
         return CsvBlock(values=values, faults={}, text=text, texts=texts, times=times)
 
     @cached_property
@@ -171,7 +171,7 @@ class RowGrammar:
         values, times = {}, None
         for index in self.columns:
             cells = cells_of(index)
-            times = cells if index == self.time else times
+            times = self.dialect.with_points(cells, moments=True) if index == self.time else times
             column, wrong = self._numbers(cells, index)
             values[index] = column.copy()  # that of a column of times may be read-only
             for row in () if wrong is None else np.flatnonzero(wrong).tolist():
