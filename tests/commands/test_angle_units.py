@@ -142,6 +142,7 @@ def test_the_bench_the_replay_and_a_header_agree(tmp_path: Path) -> None:
     exec(run("export", "a.yaml", "--to", "python", cwd=tmp_path).stdout, module)
     for row, expected in zip(rows, applied, strict=True):
         assert module["degrees"](row) == pytest.approx([*map(float, expected)], abs=1e-9)
+    assert np.isnan(module["degrees"]((np.nan, 5.0))).all()
     assert json.loads(run("export", "a.yaml", "--to", "json", cwd=tmp_path).stdout)["reads"] == "angle"
     if shutil.which("cc") is None:
         pytest.skip("there is no compiler: cc is not installed")
@@ -154,12 +155,14 @@ def test_the_bench_the_replay_and_a_header_agree(tmp_path: Path) -> None:
     said = subprocess.run(
         ["./main"],
         cwd=tmp_path,
-        input="".join(f"{x},{y}\n" for x, y in rows),
+        input="".join(f"{x},{y}\n" for x, y in [*rows, (np.nan, 5.0)]),
         capture_output=True,
         text=True,
         check=True,
     )
-    for line, expected in zip(said.stdout.splitlines(), applied, strict=True):
+    *lines, missing = said.stdout.splitlines()
+    assert missing.count("nan") == 2
+    for line, expected in zip(lines, applied, strict=True):
         assert json.loads(line) == pytest.approx([*map(float, expected)], abs=1e-3)
 
 

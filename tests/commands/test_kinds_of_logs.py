@@ -151,9 +151,9 @@ def test_the_first_times_of_a_log_decide_their_unit() -> None:
 
 
 def test_times_with_a_decimal_comma_have_the_unit_of_their_header(tmp_path: Path) -> None:
-    rows = [f"{k / 600:.6f};0;0;1".replace(".", ",") for k in range(100)]
+    rows = [f"{0.005 * k:.3f};0;0;1".replace(".", ",") for k in range(100)]
     (tmp_path / "log.csv").write_text("\n".join(["time (min);x;y;z", *rows, ""]))
-    assert "100 rows, 10 Hz" in tiltcal("probe", "log.csv", cwd=tmp_path).stdout
+    assert "100 rows, 3.333 Hz" in tiltcal("probe", "log.csv", cwd=tmp_path).stdout
 
 
 def test_dates_that_leave_their_order_open_are_named(tmp_path: Path) -> None:

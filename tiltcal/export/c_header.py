@@ -103,7 +103,7 @@ def _components_of_angles(coefficients: Coefficients, angles: AngleReadings) -> 
     sizes = np.linalg.norm(coefficients.sensitivity, axis=1)
     for k, size in enumerate(sizes):
         yield f"v{k} = remainderf(v{k} / {float_constant(size)}, 360.0f);"
-        yield f"v{k} = fabsf(v{k}) > 91.0f ? NAN : fmaxf(-90.0f, fminf(90.0f, v{k})) * 0.01745329252f;"
+        yield f"v{k} = fabsf(v{k}) <= 91.0f ? fmaxf(-90.0f, fminf(90.0f, v{k})) * 0.01745329252f : NAN;"
     pitch = coefficients.channels.index("x") if angles.euler and "x" in coefficients.channels else -1
     for k in sorted(range(len(sizes)), key=lambda k: k == pitch):
         roll = f" * cosf(v{pitch})" if pitch >= 0 and coefficients.channels[k] == "y" else ""

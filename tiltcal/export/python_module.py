@@ -44,7 +44,7 @@ def g(u, celsius=None):
         v.append(s)
     if size:
         a = [(v[k] / size[k] + 180.0) % 360.0 - 180.0 for k in range(len(v))]
-        if max([abs(one) for one in a]) > 91.0:
+        if not all([abs(one) <= 91.0 for one in a]):
             return [NAN] * len(a)
         a = [math.radians(max(-90.0, min(90.0, one))) for one in a]
         v = [size[k] * math.sin(a[k]) * (math.cos(a[1 - k]) if k == roll else 1.0) for k in range(len(a))]
