@@ -144,7 +144,7 @@ class Equations:
             NOISE: 1.0,
             REFERENCE: 1.0,
         }
-        self.as_set: Bench = {**dict.fromkeys(self.stated, 0.0), TABLE: self.stated[TABLE]}
+        self.as_set: Bench = {**dict.fromkeys(self.stated, 0.0), NOISE: 1.0, TABLE: self.stated[TABLE]}
         self.noise_unknown = all(one.noise_unknown for sensor in sensors for one in sensor.observations)
 
     def rows(self, source: str) -> slice:
