@@ -4,7 +4,7 @@ import json
 import shutil
 from pathlib import Path
 
-from support import FIXTURES
+from support import FIXTURES, ROOT
 from support.command import tiltcal
 
 PLANE = (FIXTURES / "plane.yaml").read_text(encoding="utf-8")
@@ -119,3 +119,9 @@ def test_a_calibration_of_other_digits_beside_its_journal(tmp_path: Path) -> Non
     (tmp_path / "plane.yaml").unlink()
     assert tiltcal("replay", "plane.journal.jsonl", "-o", "plane.yaml", cwd=tmp_path).returncode == 0
     assert tiltcal("check", "plane.yaml", cwd=tmp_path).stdout == "plane.yaml: calibration, good\n"
+
+
+def test_the_devices_that_are_shipped_are_checked() -> None:
+    paths = sorted((ROOT / "drivers" / "text_devices").glob("*.yaml"))
+    done = tiltcal("check", *paths)
+    assert (done.returncode, done.stdout) == (0, "".join(f"{path}: device, good\n" for path in paths)), done.stderr

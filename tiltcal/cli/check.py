@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
@@ -21,10 +21,13 @@ from tiltcal.cli.talk import in_options, remark
 from tiltcal.core.model import Array
 from tiltcal.errors import NEGATIVE_VERDICT, EstimateError, InputError, JournalError, TiltcalError, UsageError
 from tiltcal.files.calibration import CalibrationRecord
+from tiltcal.files.device import device_of
 from tiltcal.files.document import Document, read_document
 from tiltcal.files.json_schema import json_schema
 from tiltcal.files.pair import PairRecord
+from tiltcal.files.procedure import procedure_in
 from tiltcal.files.record import KINDS
+from tiltcal.files.twin import twin_of
 from tiltcal.files.yaml_text import Place, dotted, parse
 from tiltcal.journal.calibrations import calibrations_of, texts_of
 from tiltcal.journal.lines import Journal
@@ -33,6 +36,7 @@ from tiltcal.journal.session import RecordedSession
 _NAMED = 5  # keys of a file that a finding names
 _ROUNDING = 0.01  # share of an uncertainty by which versions may differ; two digits of it are written
 _ABSENT = object()
+_READERS: Mapping[str, Callable[[Document], object]] = {"twin": twin_of, "device": device_of}
 _NO_COEFFICIENTS = (("temperature", "reference"), ("temperature", "range"))
 
 
@@ -41,7 +45,7 @@ _NO_COEFFICIENTS = (("temperature", "reference"), ("temperature", "range"))
 @click.option("--schema", type=click.Choice([*KINDS]), help="Print the JSON Schema of a kind of file, for an editor.")
 @options.as_json
 def command(paths: tuple[Path, ...], schema: str | None, as_json: bool) -> int:
-    """Check calibration files, procedures, twins and journals.
+    """Check calibration files, procedures, devices, twins, bench files and journals.
 
     Exit code 2 if a file is wrong; the message names file, line and key, and the other files are checked too. Exit code
     1 if a file is readable, but has a negative verdict: an interrupted journal, a calibration whose coefficients the
@@ -85,21 +89,19 @@ def _checked(path: Path) -> tuple[str, list[str], list[str]]:
         raise document.error("the key 'kind' is missing: this is not a tiltcal file")
     if kind in ("tilt", "pair"):
         return _of_calibration(path, document)
-    module, read = {"bench": ("bench.setup", "known_bench"), "twin": ("files.twin", "twin_of")}.get(
-        kind, ("files.procedure", "procedure_in")
-    )
-    getattr(import_module(f"tiltcal.{module}"), read)(document)
+    if kind == "bench":  # of the bench nothing else is imported here
+        import_module("tiltcal.bench.setup").known_bench(document)
+    else:
+        _READERS.get(kind, procedure_in)(document)
     return kind, [], []
 
 
 def _is_journal(path: Path) -> bool:
     if not os.path.isfile(path):
         return False
-    try:
-        with open(path, "rb") as stream:
-            return stream.read(18) == b'{"tiltcal-journal"'
-    except OSError:
-        return False
+    with suppress(OSError), open(path, "rb") as stream:
+        return stream.read(18) == b'{"tiltcal-journal"'
+    return False
 
 
 def _of_journal(path: Path) -> list[str]:
@@ -147,7 +149,7 @@ def _of_journal_beside(path: Path, found: CalibrationRecord | PairRecord) -> tup
     if isinstance(found, CalibrationRecord) and isinstance(new, CalibrationRecord):
         covariance = new.uncertainty.covariance
         errors = np.sqrt(np.diag(covariance.as_array())) if covariance else np.empty(0)
-        keys = [place for place, old, other in differing if not _rounded(place, old, other, errors)]
+        keys = [place for place, old, other in differing if not _differs_by_rounding(place, old, other, errors)]
         if not keys and compare_records(found, new).verdict.word == "unchanged":
             return [], [f"{journal} gives other digits with this version, which agree within their uncertainty"]
     named = ", ".join(dotted(key) or "all of it" for key in keys[:_NAMED]) or "the coefficients"
@@ -167,7 +169,7 @@ def _differing(found: Any, made: Any, place: Place = ()) -> Iterator[tuple[Place
         yield place, found, made
 
 
-def _rounded(place: Place, found: Any, made: Any, errors: Array) -> bool:
+def _differs_by_rounding(place: Place, found: Any, made: Any, errors: Array) -> bool:
     """Return whether a value may differ in its digits: a coefficient, or an uncertainty that differs by rounding."""
     if place[0] not in ("calibration", "uncertainty") or place[1:3] in _NO_COEFFICIENTS:
         return False

@@ -108,8 +108,8 @@ def numbers(coefficients: Coefficients) -> Mapping[str, Any]:
     """Return all of a calibration, by the names of :data:`FORMULA`, as plain data."""
     compensation, thermal, bent = Compensation(coefficients), coefficients.thermal, coefficients.nonlinearity
     none: list[list[float]] = [[] for _ in coefficients.channels]
-    size = 3 if compensation.solves_z else len(compensation.axes)
-    rotation = np.eye(size) if compensation.rotation is None else compensation.rotation
+    axes = 3 if compensation.solves_z else len(compensation.axes)
+    rotation = np.eye(axes) if compensation.rotation is None else compensation.rotation
     angles = coefficients.angles
     sizes = [] if angles is None else np.linalg.norm(coefficients.sensitivity, axis=1).tolist()
     rolls = angles is not None and angles.euler and coefficients.channels in (("x", "y"), ("y", "x"))

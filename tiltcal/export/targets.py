@@ -13,6 +13,7 @@ from tiltcal import __version__
 from tiltcal.core.compensation import Compensation
 from tiltcal.core.model import Array, Coefficients, Limits, vector_of, with_vector
 from tiltcal.core.uncertain import central_differences
+from tiltcal.drivers.model import OF_G
 from tiltcal.errors import UsageError
 from tiltcal.export.affine import Affine, affine_of
 from tiltcal.export.c_header import float_constant, header, single_precision, single_precision_rounding
@@ -23,7 +24,10 @@ from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.coefficients import CoefficientsSection
 from tiltcal.files.record import plain
 
-STANDARD_GRAVITY = 9.80665  # m/s²
+STANDARD_GRAVITY = OF_G["m/s2"]
+ROUNDING_IN_INTEGERS = 2e-6  # g: that of the result in micro-g, and as much of the terms before it
+ROUNDING_IN_DOUBLES = 1e-12  # g, with a reserve for the sums of another processor
+STEP = 1e-6  # of a coefficient, relative, by which the noise at level is differentiated
 
 
 @dataclass(frozen=True)
@@ -154,7 +158,13 @@ def _c_fixed(source: Source) -> Export:
     def text(bound: float) -> str:
         return header(source.name, _stated(source, bound), integers.lines(source.name))
 
-    return Export(text, integers, (CROSS_AXIS, TEMPERATURE), np.full(len(source.affine.matrix), 2e-6), 1.0 / per_unit)
+    return Export(
+        text,
+        integers,
+        (CROSS_AXIS, TEMPERATURE),
+        np.full(len(source.affine.matrix), ROUNDING_IN_INTEGERS),
+        1.0 / per_unit,
+    )
 
 
 def _fusion(source: Source) -> Export:
@@ -247,7 +257,7 @@ def _whole(source: Source, text: Callable[[float], str]) -> Export:
     """Return the export to a program that holds all of a calibration, in double precision."""
     compensation = Compensation(source.coefficients)
     holds = CROSS_AXIS, TEMPERATURE, NONLINEARITY, THIRD, LAG
-    rounding = np.full(len(source.affine.matrix), 1e-12)
+    rounding = np.full(len(source.affine.matrix), ROUNDING_IN_DOUBLES)
     return Export(text, lambda u, celsius: np.array(compensation(u, celsius).gravity), holds, rounding)
 
 
@@ -290,7 +300,7 @@ def _covariance(source: Source) -> Array:
             up = np.array([[0.0, 0.0, 1.0]])
             return np.asarray(with_vector(coefficients, stated.parameters, values).predict(up)[0])
 
-        jacobian = central_differences(level, vector, 1e-6 * np.maximum(1.0, np.abs(vector)))
+        jacobian = central_differences(level, vector, STEP * np.maximum(1.0, np.abs(vector)))
         total = total + jacobian @ stated.as_array() @ jacobian.T
     return np.asarray(source.affine.matrix @ total @ source.affine.matrix.T)
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from tiltcal.calibration.record import record_in
 from tiltcal.calibration.season import CalibrationFolder
-from tiltcal.column_names import TEMPERATURE, TIME
+from tiltcal.column_names import AXES, TEMPERATURE, TIME
 from tiltcal.core.column_statistics import ColumnStatistics
 from tiltcal.core.earth_frame import VELOCITY, FieldLength
 from tiltcal.core.flags import FLAGS, REASONS, count_flags
@@ -141,7 +141,8 @@ class CompensatedLog:
         require_units(log, where, units, stated=options["unit"])
         for first, *others in self._vectors.values():
             if (unit := log.unit(first)) is not None:
-                require_units(log, {str(k): k for k in others}, {str(k): unit for k in others}, repr(log.names[first]))
+                beside = dict(zip(AXES[1:], others, strict=True))
+                require_units(log, beside, dict.fromkeys(beside, unit), repr(log.names[first]))
         self.channels = tuple(chain(*(sensor.columns for sensor in self._sensors)))
         self._roles = {role: where[role] for role in (TEMPERATURE, *roles) if role in where}
         if self._lagged and TIME not in self._roles:

@@ -53,7 +53,7 @@ _SINGLE_DIGIT = re.compile(r"(?<![\d.])(\d)(?!\d)")
 _ZONE = re.compile(r"\.?\s*(?:Z|UTC|GMT)?$|\.?\s+(?=[+-]\d)")
 
 
-def seconds_since_1970(time: Array, unit: str | None, file: str | None = None) -> Array:
+def in_seconds(time: Array, unit: str | None, file: str | None = None) -> Array:
     """Return a time as seconds since 1970 where its unit names a moment, such as ``days since 2026-05-01``.
 
     Without one it is in seconds since the moment that it counts from, and without a unit in seconds.

@@ -15,7 +15,7 @@ import numpy as np
 
 from tiltcal.column_names import TIME
 from tiltcal.errors import InputError, UsageError
-from tiltcal.logs.cf_attributes import describe, seconds_since_1970
+from tiltcal.logs.cf_attributes import describe, in_seconds
 from tiltcal.logs.log import LogBlock, LogReader, LogSource, Table
 from tiltcal.stated_arguments import of_python
 
@@ -47,7 +47,7 @@ class FrameReader(LogReader):
         if not super().has_times(name, beside) or dimensions(name) != dimensions(self.names[beside]):
             return False
         with suppress(InputError):
-            seconds_since_1970(np.empty(0), self._frame.unit(name))
+            in_seconds(np.empty(0), self._frame.unit(name))
             return True
         return False
 

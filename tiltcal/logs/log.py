@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from tiltcal.core.model import Array
 from tiltcal.errors import InputError
-from tiltcal.logs.cf_attributes import seconds_since_1970
+from tiltcal.logs.cf_attributes import in_seconds
 from tiltcal.logs.numbers_and_times import (
     are_moments,
     clock_breaks,
@@ -111,7 +111,7 @@ class LogClock:
         elif stated is None:
             stated, by = self._unit, "the size of its numbers"
         if stated is not None:
-            times = seconds_since_1970(times, stated, file)
+            times = in_seconds(times, stated, file)
         self._watch(times)
         return times, stated, by
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tiltcal.errors import InputError
-from tiltcal.logs.cf_attributes import seconds_since_1970
+from tiltcal.logs.cf_attributes import in_seconds
 
 
 def test_every_unit_of_time_is_counted_from_any_epoch() -> None:
@@ -14,13 +14,13 @@ def test_every_unit_of_time_is_counted_from_any_epoch() -> None:
     seconds |= {"min": 60.0, "minutes": 60.0, "h": 3600.0, "hours": 3600.0, "d": 86400.0, "days": 86400.0}
     count = np.array([0.0, 3.0, np.nan])
     for unit, length in seconds.items():
-        since = seconds_since_1970(count, f"{unit} since 2000-1-1 0:0:0")
+        since = in_seconds(count, f"{unit} since 2000-1-1 0:0:0")
         assert since == pytest.approx(946684800.0 + count * length, nan_ok=True), unit
-        assert seconds_since_1970(count, unit) == pytest.approx(count * length, nan_ok=True), unit
+        assert in_seconds(count, unit) == pytest.approx(count * length, nan_ok=True), unit
     for unit in (None, "", "1"):
-        assert seconds_since_1970(np.array([2.5]), unit).item() == 2.5
+        assert in_seconds(np.array([2.5]), unit).item() == 2.5
     # A moment is the nearest double to its count.
-    assert seconds_since_1970(np.array([1767225600020.0]), "ms since 1970-01-01").item() == 1767225600.02
+    assert in_seconds(np.array([1767225600020.0]), "ms since 1970-01-01").item() == 1767225600.02
 
 
 def test_an_epoch_needs_no_leading_zeros() -> None:
@@ -34,7 +34,7 @@ def test_an_epoch_needs_no_leading_zeros() -> None:
         "1-1-1": datetime(1, 1, 1, tzinfo=UTC),
     }
     for epoch, moment in epochs.items():
-        assert seconds_since_1970(np.zeros(1), f"days since {epoch}").item() == moment.timestamp(), epoch
+        assert in_seconds(np.zeros(1), f"days since {epoch}").item() == moment.timestamp(), epoch
 
 
 @pytest.mark.parametrize(
@@ -48,4 +48,4 @@ def test_an_epoch_needs_no_leading_zeros() -> None:
 )
 def test_what_counts_in_no_unit_or_from_no_moment_is_refused(unit: str, why: str) -> None:
     with pytest.raises(InputError, match=f"^deck.nc: .*{why}"):
-        seconds_since_1970(np.zeros(1), unit, "deck.nc")
+        in_seconds(np.zeros(1), unit, "deck.nc")
