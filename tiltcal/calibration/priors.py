@@ -8,6 +8,8 @@ from __future__ import annotations
 from dataclasses import replace
 from math import inf, radians, sin
 
+import numpy as np
+
 from tiltcal.calibration.measurement import BenchUncertainty
 from tiltcal.core.angle_readings import DEGREES
 from tiltcal.core.estimation.positions import Design, Prior
@@ -106,7 +108,15 @@ def _with_base(design: Design, base: CalibrationRecord, *, whole: bool) -> Desig
     priors = {
         name: Prior(value, u.get(name, 0.0)) for name, value in values(coefficients).items() if name.startswith(kept)
     }
-    design = replace(design, axes=coefficients.axes, nonlinearity=order, priors=priors, angles=coefficients.angles)
+    design = replace(design, axes=coefficients.axes, nonlinearity=order, angles=coefficients.angles)
+    uncertain = base.uncertain.named([name for name, prior in priors.items() if prior.u > 0.0])
+    if not whole and not np.allclose(uncertain.covariance, np.diag(uncertain.u**2)):
+        # As of all sensitivities together: an error of a reference, such as its alignment, is in all of them alike.
+        value = np.array([priors[name].value for name in uncertain.names])
+        priors |= {name: Prior(priors[name].value, inf) for name in uncertain.names}
+        rows = np.array([[name == other for other in design.names] for name in uncertain.names], dtype=float)
+        design = replace(design, stated=((rows, replace(uncertain, value=value)),))
+    design = replace(design, priors=priors)
     thermal = coefficients.thermal if whole else None
     if thermal is None:
         return design
