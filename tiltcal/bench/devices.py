@@ -43,14 +43,14 @@ class VirtualBench:
 
         if self._first is None:
             return Fixture(self._clock)
-        truth = truth_of(self._first.place, self._first.wired)
+        truth = truth_of(self._first.parsed_address, self._first.wired)
         return Fixture(
             self._clock, seed=truth.seed, jig=truth.jig, ambient=truth.ambient, time_constant=truth.time_constant
         )
 
     def twin(self, device: BenchSensor) -> Link:
         """Return the virtual sensor behind a ``sim:`` address."""
-        truth = truth_of(device.place, device.wired)
+        truth = truth_of(device.parsed_address, device.wired)
         return device.wired.twin(truth, self.fixture.turned(_to_sensor(device, truth)), self._clock)
 
 
@@ -99,7 +99,7 @@ def open_device(
 
     HardwareError: it cannot be opened.
     """
-    return virtual.twin(device) if device.simulated else open_link(device.place, device.wired, lines)
+    return virtual.twin(device) if device.simulated else open_link(device.parsed_address, device.wired, lines)
 
 
 def open_same(

@@ -43,7 +43,7 @@ class BenchSensor(Record):
         return orientation(self.axes)
 
     @property
-    def place(self) -> Address:
+    def parsed_address(self) -> Address:
         """The address, parsed."""
         return _connected(self.model, self.address, self.device)[0]
 
@@ -55,12 +55,12 @@ class BenchSensor(Record):
     @property
     def simulated(self) -> bool:
         """Whether it is a virtual twin."""
-        return self.place.simulated
+        return self.parsed_address.simulated
 
     @property
     def letter(self) -> str:
         """Its bus in a journal."""
-        return link_letter(self.place, self.wired)
+        return link_letter(self.parsed_address, self.wired)
 
 
 @lru_cache(maxsize=64)
