@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import cache
 from itertools import chain, combinations, product
 from math import cos, inf, radians, sqrt
 
@@ -73,6 +74,10 @@ class PositionFit:
         return sum(map(bool, self.names))
 
 
+Attitudes = tuple[tuple[Span, ...], ...]
+"""The intervals of each attitude, ends exclusive."""
+
+Fit = Callable[[Attitudes], FreeFit | PositionFit | None]
 Judge = Callable[[Array, Array], FreeFit | PositionFit]
 """Fits the means of attitudes and their standard uncertainties, unit, both of shape (n, channels)."""
 
@@ -82,13 +87,13 @@ class StaticDetection:
     """One threshold between still and moving, and the fit that it leads to; None where attitudes determine none.
 
     ``noise`` is the standard deviation in the stillest part, all channels together (root of the sum of squares), unit,
-    and ``multiple`` is threshold over noise; each attitude has one or several intervals of rows, ends exclusive.
+    and ``multiple`` is threshold over noise; each attitude has one or several intervals of rows.
     """
 
     window: int
     multiple: float
     noise: float
-    intervals: tuple[tuple[Span, ...], ...]
+    intervals: Attitudes
     fit: FreeFit | PositionFit | None
 
     @property
@@ -146,7 +151,8 @@ def _tried(columns: Sequence[Array], judge: Judge | None) -> tuple[tuple[StaticD
     """Return the detection by each window and threshold, and how many rows are lost to all."""
     lost = lost_rows(columns, stuck_spans(columns))
     changes = np.cumsum(~repeated_rows(columns), dtype=np.int32)
-    tried = (choice for window in WINDOWS for choice in _choices(columns, lost, changes, window, judge))
+    fit = cache(lambda attitudes: _fit(columns, attitudes, judge))  # windows and thresholds find the same ones again
+    tried = (choice for window in WINDOWS for choice in _choices(columns, lost, changes, window, fit))
     return tuple(tried), int(lost.sum())
 
 
@@ -202,7 +208,7 @@ def judge_of(positions: Mapping[str, Vector], channels: Sequence[str]) -> Judge 
 
 
 def _choices(
-    columns: Sequence[Array], lost: Mask, changes: NDArray[np.int32], window: int, judge: Judge | None
+    columns: Sequence[Array], lost: Mask, changes: NDArray[np.int32], window: int, fit: Fit
 ) -> Iterator[StaticDetection]:
     """Yield the detection by each threshold; ``changes`` counts the rows that do not repeat the one before, (n,)."""
     scatter = window_scatter(columns, lost, window)
@@ -216,7 +222,7 @@ def _choices(
         attitudes = tuple(
             tuple((start, end) for start, end in of_one.tolist()) for of_one in _attitudes(columns, spans)
         )
-        yield StaticDetection(window, multiple, noise or 0.0, attitudes, _fit(columns, attitudes, judge))
+        yield StaticDetection(window, multiple, noise or 0.0, attitudes, fit(attitudes))
 
 
 def _attitudes(columns: Sequence[Array], spans: Numbers) -> list[Numbers]:
@@ -235,9 +241,7 @@ def _attitudes(columns: Sequence[Array], spans: Numbers) -> list[Numbers]:
     return np.split(spans, cuts)
 
 
-def _fit(
-    columns: Sequence[Array], attitudes: Sequence[Sequence[Span]], judge: Judge | None
-) -> FreeFit | PositionFit | None:
+def _fit(columns: Sequence[Array], attitudes: Attitudes, judge: Judge | None) -> FreeFit | PositionFit | None:
     if not attitudes or judge is None:
         return None
     means, uncertainties = zip(*(mean_of(columns, spans) for spans in attitudes), strict=True)

@@ -16,6 +16,7 @@ equipments* (2014), which minimises the same misfits.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from math import cos, inf, radians, sqrt
 
 import numpy as np
@@ -114,7 +115,7 @@ class FreeFit(Misfits):
         """Whether the misfits are smaller than the noise by chance."""
         return _below_noise(self.scatter, self.dof, self.noise)
 
-    @property
+    @cached_property
     def expanded(self) -> float:
         """Expanded uncertainty (95 %) of the unknowns on average, g; infinite unless more attitudes differ."""
         if self.distinct <= self.unknowns:
