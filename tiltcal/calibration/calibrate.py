@@ -20,6 +20,7 @@ from tiltcal.drivers.model import ACCELERATION
 from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.procedure import (
+    Completion,
     FreePositions,
     LevelCompletion,
     MountingCompletion,
@@ -47,39 +48,14 @@ def calibrate(
     measured, sensors = sensors, [read_in_degrees(sensor, procedure, angles) for sensor in sensors]
     step = max((sensor.thermometer_rounding or 0.0 for sensor in sensors), default=0.0)
     known = bench if bench.thermometer is not None else replace(bench, thermometer=step or None)
-    part = ""
     sensors = [with_convention(sensor, procedure, known) for sensor in sensors]
-    bases = [(sensor.base, sensor.measurements) for sensor in sensors if sensor.base is not None]
     for sensor in sensors if table and isinstance(procedure, Positions) else ():
         design = design_of(sensor.sensor, procedure, known, nominal=sensor.nominal, base=sensor.base)
         unknowns = len(set(design.names) - set(design.priors))
         _require_stated(sensor.measurements, len(sensor.measurements) * len(design.channels) - unknowns)
-    match procedure:
-        case MountingCompletion():
-            from tiltcal.calibration.complete import mount
-
-            found = [mount(base, measurements, jig=bench.jig) for base, measurements in bases]
-            part = "mounting"
-        case LevelCompletion():
-            from tiltcal.calibration.complete import level
-
-            found = [level(base, measurements, procedure, known) for base, measurements in bases]
-            part = "level"
-        case Ramp():
-            from tiltcal.calibration.temperature import calibrate_ramp
-
-            found = [calibrate_ramp(sensor, procedure, bench) for sensor in sensors]
-        case FreePositions():
-            from tiltcal.calibration.free import calibrate_free
-
-            found = [calibrate_free(sensor, procedure, known) for sensor in sensors]
-        case Positions(cross_validated=True):
-            from tiltcal.calibration.temperature import calibrate_sweep
-
-            found = calibrate_sweep(sensors, procedure, known)
-        case _:
-            found = fit_jointly(sensors, procedure, known)
-    if own and part:
+    found = _by_kind(sensors, procedure, bench, known)
+    if own and isinstance(procedure, Completion):
+        part = "mounting" if isinstance(procedure, MountingCompletion) else "level"
         own = {part: getattr(found[0].procedure, part).replaced(**own)}
     if typical_temperature:
         from tiltcal.calibration.temperature import with_typical_temperature
@@ -91,6 +67,35 @@ def calibrate(
     said = [remarks(before, sensor) for before, sensor in zip(measured, sensors, strict=True)]
     found = list(map(finished, found, said))
     return found if gravity is None else [_of_local_gravity(record, gravity) for record in found]
+
+
+def _by_kind(
+    sensors: Sequence[MeasuredSensor], procedure: PositionProcedure, bench: BenchUncertainty, known: BenchUncertainty
+) -> list[CalibrationRecord]:
+    """Return what a kind of procedure determines; ``known`` is the bench with the thermometers of the sensors."""
+    bases = [(sensor.base, sensor.measurements) for sensor in sensors if sensor.base is not None]
+    match procedure:
+        case MountingCompletion():
+            from tiltcal.calibration.complete import mount
+
+            return [mount(base, measurements, jig=bench.jig) for base, measurements in bases]
+        case LevelCompletion():
+            from tiltcal.calibration.complete import level
+
+            return [level(base, measurements, procedure, known) for base, measurements in bases]
+        case Ramp():
+            from tiltcal.calibration.temperature import calibrate_ramp
+
+            return [calibrate_ramp(sensor, procedure, bench) for sensor in sensors]
+        case FreePositions():
+            from tiltcal.calibration.free import calibrate_free
+
+            return [calibrate_free(sensor, procedure, known) for sensor in sensors]
+        case Positions(cross_validated=True):
+            from tiltcal.calibration.temperature import calibrate_sweep
+
+            return calibrate_sweep(sensors, procedure, known)
+    return fit_jointly(sensors, procedure, known)
 
 
 def _of_table(calibration: CalibrationRecord, measurements: Sequence[Measurement]) -> CalibrationRecord:
