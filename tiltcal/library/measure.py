@@ -152,10 +152,6 @@ def measure(procedure: str | Path | None = None, **options: Unpack[MeasureOption
     if given["dry_run"]:
         from tiltcal.bench.dry_run import dry_run
 
-        if given["bench"] is None:
-            raise UsageError(
-                option="dry_run", why="moves the machines of a bench file", advice=("state ", Argument("bench"))
-            )
         dry_run(_begun(procedure, given).setup, result or remark)
         return None
     if resume is not None and os.path.exists(resume):
@@ -280,6 +276,9 @@ def _one_sensor(procedure: str | Path | None, given: MeasureOptions, filed: bool
 
     ``filed`` is whether the output has a default.
     """
+    if given["dry_run"] and given["bench"] is None:
+        moves = "moves the machines of a bench file"
+        raise UsageError(option="dry_run", why=moves, advice=("state ", Argument("bench")))
     sensor, serial, base = given["sensor"], given["serial"], given["base"]
     if base is not None and given["bench"] is None and os.path.isfile(base):
         identity = read_calibration(base).sensor
