@@ -6,13 +6,14 @@ from collections.abc import Sequence
 from math import asin, degrees, fsum, sqrt
 
 from tiltcal.bench.guidance import COARSE, SensorGuidance, tilt_guidance
-from tiltcal.bench.settle import Timed, Unsettled
+from tiltcal.bench.settle import Unsettled
 from tiltcal.core.attitude import Vector
 from tiltcal.core.samples import drift
 from tiltcal.drivers.model import OF_G, OF_TILT, Reading
 from tiltcal.errors import Argument, UsageError
 from tiltcal.files.bench import BenchFile
 from tiltcal.journal.header import ReferenceDevice
+from tiltcal.journal.playback import Sample
 from tiltcal.journal.reference import read_axes, sines
 
 STEADY, SIGMAS = 3.0, 4.0
@@ -52,10 +53,10 @@ def reference_of(bench: BenchFile) -> ReferenceDevice | None:
     return device
 
 
-def require_steady(device: ReferenceDevice, samples: Sequence[Timed]) -> None:
+def require_steady(device: ReferenceDevice, samples: Sequence[Sample]) -> None:
     """Raise Unsettled where the reading of a reference changed or scattered while it was sampled."""
-    times = [time for time, _ in samples]
-    rows = [sines(device, sample.reference) for _, sample in samples if sample.reference is not None]
+    times = [sample.seconds for sample in samples]
+    rows = [sines(device, sample.reference) for sample in samples if sample.reference is not None]
     for channel in rows[0]:
         tilts = [degrees(asin(max(-1.0, min(1.0, row[channel])))) for row in rows]
         mean = fsum(tilts) / len(tilts)

@@ -22,7 +22,7 @@ from tiltcal.bench.devices import Recorder, SensorSet, VirtualBench, connected, 
 from tiltcal.bench.guidance import SensorGuidance
 from tiltcal.bench.operators import Operator
 from tiltcal.bench.reference import require_steady
-from tiltcal.bench.settle import NEAR, Timed, Unsettled, Window, movement, row_of, wait_until_still
+from tiltcal.bench.settle import NEAR, Unsettled, Window, movement, row_of, wait_until_still
 from tiltcal.drivers.bus.clock import session_clock
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.procedure import FreePositions, Position, Ramp
@@ -169,7 +169,7 @@ class Session:
         self.sensors.succeeded()
         if self.setup.reference is not None:
             require_steady(self.setup.reference, samples)
-            actual = set_by(self.setup.reference, actual, [sample for _, sample in samples])
+            actual = set_by(self.setup.reference, actual, samples)
             if self.accepted and actual.tilt == self.accepted[-1].position.tilt is not None:
                 before = self.accepted[-1].position.name
                 raise Unsettled(f"the reference reads to the last digit what it read in {before}: is it still read?")
@@ -186,7 +186,7 @@ class Session:
             for serial, one in result.values().items()
         }
         verdict = self.talk.ask(
-            messages.Review(position.name, readings | self.talk.shown_reference(samples[-1][1], position.gravity))
+            messages.Review(position.name, readings | self.talk.shown_reference(samples[-1], position.gravity))
         )
         if verdict.answer == "accept":
             guides = {serial: reading.guidance for serial, reading in readings.items()}
@@ -283,42 +283,42 @@ class Session:
                 return False
         return True
 
-    def _sampled(self, position: Position, *, thermometers: bool) -> tuple[list[Timed], list[int]]:
+    def _sampled(self, position: Position, *, thermometers: bool) -> tuple[list[Sample], list[int]]:
         """Return the samples of a position, and the numbers of those far off; Unsettled where too many are."""
         sensors, wanted = self.sensors, self.setup.settings.samples
-        samples: dict[int, Timed] = {}
+        samples: dict[int, Sample] = {}
         without: list[int] = []
         while len(samples) < wanted:
             sample = sensors.read()
-            samples[len(samples) + len(without)] = (self.recorder.now_ns() / 1e9, sample)
+            sample.now_ns = self.recorder.now_ns()
+            samples[len(samples) + len(without)] = sample
             self.talk.look(position, sample, f"sample {len(samples)} of {wanted}", samples=(len(samples), wanted))
             self.clock.sleep(sensors.interval)
             if len(samples) == wanted:
                 numbers = list(samples)
-                wrong = far_off([one for _, one in samples.values()], sensors.models, thermometers=thermometers)
+                wrong = far_off([*samples.values()], sensors.models, thermometers=thermometers)
                 without += [numbers[place] for place in wrong]
                 if wrong:
                     require_few(len(without), wanted, next(iter(wrong.values())))
-                samples = {number: timed for number, timed in samples.items() if number not in without}
+                samples = {number: one for number, one in samples.items() if number not in without}
         return list(samples.values()), sorted(without)
 
     def _result(
-        self, asked: Position, actual: Position, samples: list[Timed], left_out: int, typed: float | None
+        self, asked: Position, actual: Position, samples: list[Sample], left_out: int, typed: float | None
     ) -> PositionResult:
         """Return what the samples of a position give; Unsettled where they moved, or are at a rail."""
         sensors, models = self.sensors.sensors, self.sensors.models
-        rows = np.array([row_of(timed, models) for timed in samples])
+        rows = np.array([row_of(sample, models) for sample in samples])
         moved = movement(rows, models, still=NUDGED, sigmas=NUDGED_SIGMAS) if len(samples) > 2 else None
         if moved:
             raise Unsettled(f"moved while it was sampled: {moved}")
-        for _, sample in samples:
+        for sample in samples:
             for serial, model in models.items():
                 if why := at_rail(sample[serial], model):
                     raise Unsettled(why)
-        readings = [sample for _, sample in samples]
-        require_no_turns(readings, models)
+        require_no_turns(samples, models)
         result = result_of(
-            sensors, actual, asked, readings, self.setup.stamp_after(self.recorder.now_ns()), typed=typed,
+            sensors, actual, asked, samples, self.setup.stamp_after(self.recorder.now_ns()), typed=typed,
             left_out=left_out, takes=self.recorded.takes(asked.name), steps=self.recorded.steps,
         )  # fmt: skip
         return result.with_steps(self.recorded.steps)

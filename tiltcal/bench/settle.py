@@ -37,9 +37,6 @@ SHAKING = 0.1  # scatter above this is a sensor in someone's hand, g
 PATIENCE = 60.0  # time in which a position must become still, seconds
 OVERNIGHT = 12 * 3600.0  # time in which a chamber must reach its temperature, seconds
 
-Timed = tuple[float, Sample]
-"""A sample with its time in seconds."""
-
 
 class Unsettled(Exception):
     """The sensors did not come to rest, or were moved."""
@@ -99,10 +96,11 @@ def wait_until_still(
     why = "waiting until it is still" if window.target is None else f"on the way to {window.target:g} °C"
     while True:
         sample = sensors.read(fresh=True)
-        now = clock.now_ns() / 1e9
+        sample.now_ns = clock.now_ns()
+        now = sample.seconds
         if began is None:
             began = judged = now
-        rows.append(row_of((now, sample), models))
+        rows.append(row_of(sample, models))
         while len(rows) > FEWEST_SAMPLES and now - rows[1][0] >= max(window.seconds * LONG, window.thermometer or 0.0):
             del rows[0]
         if now >= judged + window.seconds / JUDGEMENTS:
@@ -119,10 +117,10 @@ def wait_until_still(
         clock.sleep(max(window.seconds / (SOAK_LOOKS if drift_counts else LOOKS), sensors.interval))
 
 
-def row_of(timed: Timed, serials: Iterable[str]) -> list[float]:
+def row_of(sample: Sample, serials: Iterable[str]) -> list[float]:
     """Return the time of a sample, s, and of each sensor its readings and its temperature, °C, NaN for none."""
-    row = [timed[0]]
-    for reading in map(timed[1].__getitem__, serials):
+    row = [sample.seconds]
+    for reading in map(sample.__getitem__, serials):
         row += [*reading.values, nan if reading.temperature is None else reading.temperature]
     return row
 

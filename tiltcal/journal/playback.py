@@ -43,6 +43,11 @@ class Sample(dict[str, Reading]):
     reference: Reading | None = None
     now_ns = line = 0
 
+    @property
+    def seconds(self) -> float:
+        """Its time, seconds."""
+        return self.now_ns / 1e9
+
 
 @dataclass
 class PlayedLink:

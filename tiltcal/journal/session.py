@@ -198,7 +198,7 @@ class RecordedSession(TakenPositions):
 
         records = {}
         for sensor in self.at_work:
-            timed = [(sample.now_ns / 1e9, sample[sensor.serial]) for sample in self._ramp]
+            timed = [(sample.seconds, sample[sensor.serial]) for sample in self._ramp]
             rows = [
                 (seconds, nan if at_rail(reading, sensor.wired) else reading.temperature, *reading.values)
                 for seconds, reading in timed

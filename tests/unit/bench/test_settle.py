@@ -34,7 +34,7 @@ class Drifting:
         if time > self._seconds:
             raise Enough
         x = 1024.0 + self._rate * 1e-3 * SCA100T.sensitivity * time + self._noise.normal(0.0, self._sigma)
-        return {"S-1": Reading((round(x), round(1024.0 + self._noise.normal(0.0, 0.6))), 5.5)}
+        return Sample({"S-1": Reading((round(x), round(1024.0 + self._noise.normal(0.0, 0.6))), 5.5)})
 
 
 def settled(rate: float, seed: int, seconds: float = 80.0, window: Window = SOAK, noise: float = 0.6) -> float:
