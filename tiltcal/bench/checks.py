@@ -30,7 +30,7 @@ from tiltcal.core.samples import resolution
 from tiltcal.drivers.model import Model, Reading
 from tiltcal.files.bench import BenchSensor
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
-from tiltcal.files.procedure import FreePositions, MountingCompletion, Position
+from tiltcal.files.procedure import MountingCompletion, Position
 from tiltcal.journal.header import Setup
 from tiltcal.journal.playback import Sample
 from tiltcal.journal.positions import PositionResult
@@ -140,7 +140,7 @@ class Expectations:
         self._setup = setup
         self._sensors = {sensor.serial: sensor for sensor in sensors}
         self._accepted = accepted
-        self._free = isinstance(setup.steps, FreePositions)
+        self._free = setup.steps.free
         self._mounts = isinstance(setup.steps, MountingCompletion)
         bases = {serial: base.calibration for serial, base in setup.bases.items()}
         self._mounted = any(base.coefficients.mounting is not None for base in bases.values())

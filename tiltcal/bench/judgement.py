@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 from tiltcal.bench.messages import Refused, StopAndKeep
 from tiltcal.bench.operators import Operator
 from tiltcal.errors import EstimateError, HardwareError, Stopped, TiltcalError, WrongPositions
-from tiltcal.files.procedure import Ramp, Rotation, VerifyingPositions
 from tiltcal.journal.calibrations import fitted
 from tiltcal.journal.lines import OperatorAnswer
 
@@ -38,7 +37,7 @@ class Judgement:
         """
         session = self._session
         steps = session.setup.steps
-        if isinstance(steps, VerifyingPositions | Ramp | Rotation):
+        if not steps.agrees:
             return
         try:
             fitted(session.recorded)

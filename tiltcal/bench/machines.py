@@ -30,7 +30,7 @@ from tiltcal.core.attitude import Vector
 from tiltcal.drivers.bus.clock import Clock
 from tiltcal.errors import HardwareError, InputError, Stopped, UsageError
 from tiltcal.files.machine import TILTS, Machine
-from tiltcal.files.procedure import Position, Procedure, Ramp
+from tiltcal.files.procedure import Position, Procedure
 
 ATTEMPTS, REFUSALS = 3, 10
 """Failures of the machines in a row, and refusals of one position that they set, after which a session stops."""
@@ -193,7 +193,7 @@ class Machines:
         self, person: Operator, movers: Sequence[Mover], steps: Procedure, clock: Clock, *, thermometer: bool
     ) -> None:
         self._person, self._movers, self._clock = person, list(movers), clock
-        self._ramps, self._thermometer = isinstance(steps, Ramp), thermometer
+        self._ramps, self._thermometer = steps.continuous, thermometer
         self.watches, self.most_attempts = person.watches, person.most_attempts
         self.speaks_unasked = person.speaks_unasked
         self._contradicting: set[str] = set()

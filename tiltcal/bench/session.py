@@ -25,7 +25,7 @@ from tiltcal.bench.reference import require_steady
 from tiltcal.bench.settle import NEAR, Unsettled, Window, movement, row_of, wait_until_still
 from tiltcal.drivers.bus.clock import session_clock
 from tiltcal.files.calibration import CalibrationRecord
-from tiltcal.files.procedure import FreePositions, Position, Ramp
+from tiltcal.files.procedure import Position, Ramp
 from tiltcal.journal.header import Setup
 from tiltcal.journal.lines import POSITION, RESUMED, Journal, JournalWriter, OperatorAnswer
 from tiltcal.journal.outputs import SessionFiles
@@ -110,7 +110,7 @@ class Session:
                 length=setup.steps.length if setup.steps.positions else "",
                 positions=[position.name for position in setup.steps.positions],
                 attitudes={position.name: position.gravity for position in setup.steps.positions},
-                free=isinstance(setup.steps, FreePositions),
+                free=setup.steps.free,
                 headings=any(position.heading for position in setup.steps.positions),
                 accepted=[result.position.name for result in self.accepted],
                 sensors={

@@ -19,7 +19,7 @@ from tiltcal.files.calibration import BaseFile, SensorIdentity
 from tiltcal.files.device import DeviceFile
 from tiltcal.files.document import Document
 from tiltcal.files.moments import stamp
-from tiltcal.files.procedure import Positions, Procedure, Rotation, VerifyingPositions
+from tiltcal.files.procedure import Procedure, Rotation
 from tiltcal.files.record import plain
 from tiltcal.journal.header import TYPICAL, BenchDevice, Settings, Setup, thermometer_of
 from tiltcal.stated_arguments import require_printable
@@ -138,10 +138,9 @@ def new_setup(
 def _require_suitable(setup: Setup) -> None:
     """Refuse a procedure that the devices cannot carry out, and curves that have no source or are measured."""
     steps = setup.steps
-    sets = isinstance(steps, Positions | VerifyingPositions)
-    if isinstance(steps, Positions) and steps.compares and setup.reference is None:
+    if steps.compares and setup.reference is None:
         raise UsageError(f"{steps.name} states no angles: the bench file needs a reference, which reads them")
-    if setup.reference is not None and not sets:
+    if setup.reference is not None and not steps.takes_reference:
         raise UsageError(f"{steps.name} sets no angles that a reference could read: take it out of the bench file")
     if isinstance(steps, Rotation):
         setup.stage_channels()
@@ -157,10 +156,8 @@ def _require_suitable(setup: Setup) -> None:
             identified(identity, steps.in_positions(), setup.settings.angles)
     if not setup.typical_temperature:
         return
-    if isinstance(steps, Rotation):
-        raise UsageError((f"{steps.name} needs no ", TYPICAL, ": a pair has no temperature terms"))
-    if steps.in_positions().thermal or steps.needs_base:
-        raise UsageError((f"{steps.name} needs no ", TYPICAL, ": it has no temperature terms, or measures them"))
+    if steps.without_typical:
+        raise UsageError((f"{steps.name} needs no ", TYPICAL, f": {steps.without_typical}"))
     for device in setup.sensors:
         if device.wired.population is None:
             raise UsageError(f"no source states how a {device.model} behaves over temperature on average: measure it")

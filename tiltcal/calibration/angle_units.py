@@ -18,7 +18,7 @@ from tiltcal.core.samples import SampleSummary
 from tiltcal.drivers.model import OF_TILT
 from tiltcal.errors import EstimateError, UsageError
 from tiltcal.files.calibration import ANGLE, EULER, INCLINATION, CalibrationRecord, SensorIdentity
-from tiltcal.files.procedure import FreePositions, LevelCompletion, PositionProcedure
+from tiltcal.files.procedure import PositionProcedure
 
 STEEP = radians(60.0)  # one axis beyond shows the convention of a device that is turned about the vertical, radians
 CLEARLY = 4.0  # a convention is the one whose residuals are smaller by this factor
@@ -31,7 +31,7 @@ def identified(
     """Return the identity of a sensor with what its unit says of its readings, and a convention that is stated."""
     if sensor.unit in OF_TILT:
         return sensor.replaced(reads=ANGLE, angles=angles or sensor.angles)
-    askew = procedure is not None and not isinstance(procedure, LevelCompletion) and procedure.alignment
+    askew = procedure is not None and not procedure.renews and procedure.alignment
     for option, stated in (("angles", angles), ("alignment", askew)):
         if stated:
             why = f"is of readings that are angles, and {sensor.serial or sensor.model} reads {sensor.unit}"
@@ -48,7 +48,7 @@ def read_in_degrees(sensor: MeasuredSensor, procedure: PositionProcedure, angles
     readings = identity.angle_readings
     if readings is None:
         return sensor
-    if isinstance(procedure, FreePositions):
+    if procedure.free:
         why = f"{procedure.name} needs components of gravity, and {sensor.sensor.serial} prints {sensor.sensor.unit}"
         raise EstimateError(f"{why}: set its positions, such as with multi-angle")
     kept = [one for one in sensor.measurements if not too_steep(one.gravity, identity.channels, readings)]

@@ -25,7 +25,7 @@ from tiltcal.drivers.model import Model
 from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
 from tiltcal.files.coefficients import ANGLES
-from tiltcal.files.procedure import LevelCompletion, MountingCompletion, Position, PositionProcedure, Ramp
+from tiltcal.files.procedure import MountingCompletion, Position, PositionProcedure, Ramp
 from tiltcal.printable import in_html, in_minutes
 
 PARTS = 8  # positions that stand for a leg of a ramp
@@ -109,9 +109,8 @@ def predict(
     if not kept:
         raise EstimateError(f"{procedure.name} leaves no position to {model.name}: {FEWER}")
     planned = _planned(kept, design, model, orientation, scatter, samples)
-    level = isinstance(procedure, LevelCompletion)
     found = predict_uncertainty(
-        design, planned, sensitivity=model.sensitivity, drift=drift, sensors=sensors, level=level
+        design, planned, sensitivity=model.sensitivity, drift=drift, sensors=sensors, level=procedure.renews
     )
     limits = Limits(covered_tilts(design.channels, [position.gravity.tolist() for position in planned]))
     tilts = half_widths(found.coefficients, found.uncertain, limits)

@@ -17,7 +17,7 @@ from tiltcal.core.model import AXES, values
 from tiltcal.drivers.model import OF_TILT, Model, deviation_within
 from tiltcal.errors import Argument, EstimateError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
-from tiltcal.files.procedure import LevelCompletion, PositionProcedure
+from tiltcal.files.procedure import PositionProcedure
 
 SENSITIVITY_FROM = (
     "name a ", Argument("sensor"), " model whose nominal one may stand in, state it in the address (sensitivity=..., "
@@ -62,7 +62,7 @@ def design_of(
     if procedure.axes:
         return design if design.free or nominal is None else _with_data_sheet(design, nominal)
     if base is not None:
-        return _with_base(design, base, whole=isinstance(procedure, LevelCompletion))
+        return _with_base(design, base, whole=procedure.renews)
     if nominal is None or not nominal.scaled:
         raise EstimateError(f"{procedure.name} determines no sensitivity, and none is known", advice=SENSITIVITY_FROM)
     own, cross = Prior(nominal.sensitivity, nominal.sensitivity * nominal.sensitivity_spread), Prior(0.0)

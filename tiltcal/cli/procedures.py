@@ -9,7 +9,6 @@ import click
 
 from tiltcal.cli import options
 from tiltcal.files.procedure import (
-    FreePositions,
     LevelCompletion,
     MountingCompletion,
     PositionProcedure,
@@ -71,7 +70,7 @@ def _sampled(procedure: Procedure) -> Iterator[str]:
         case LevelCompletion():
             yield "  determines  the offset of a sensor that is calibrated; all else stays"
         case PositionProcedure():
-            without = "; not the mounting" if isinstance(procedure, FreePositions) else ""
+            without = "; not the mounting" if procedure.free else ""
             yield f"  determines  {_determined(procedure)}{without}"
     if isinstance(procedure, Ramp):
         pace = f"while the temperature changes by {procedure.pace:g} °C/min"

@@ -79,6 +79,29 @@ class Procedure:
     needs_base: ClassVar[bool] = False
     """Whether the sensor's own calibration is completed."""
 
+    renews: ClassVar[bool] = False
+    """Whether the offset of the sensor's own calibration is measured anew, and nothing else."""
+
+    free: ClassVar[bool] = False
+    """Whether nobody sets the positions."""
+
+    continuous: ClassVar[bool] = False
+    """Whether all that is read on the way from position to position counts."""
+
+    agrees: ClassVar[bool] = True
+    """Whether positions have to agree before anything is written."""
+
+    one_file: ClassVar[bool] = False
+    """Whether all devices of a session give one calibration file together."""
+
+    takes_reference: ClassVar[bool] = False
+    """Whether a reference on the plate may say the angles."""
+
+    @property
+    def compares(self) -> bool:
+        """Whether a reference has to say the angles."""
+        return False
+
     @property
     def takes_base(self) -> bool:
         """Whether the sensor's own calibration is of use."""
@@ -96,6 +119,15 @@ class Procedure:
 
     def in_positions(self) -> PositionProcedure:
         """Return it where the sensor is brought to positions; a UsageError names what else there is for a stage."""
+        raise NotImplementedError
+
+    def in_turns(self) -> Rotation:
+        """Return it where a stage turns; a UsageError where none does."""
+        raise UsageError(f"{self.name} lets no stage turn")
+
+    @property
+    def without_typical(self) -> str:
+        """Why it takes no mean temperature curves of a data sheet; empty where it does."""
         raise NotImplementedError
 
     def require_usable(self, **stated: object) -> None:
@@ -126,6 +158,10 @@ class Rotation(Procedure):
     converged: float | None
     patience: float
 
+    agrees = False
+    one_file = True
+    without_typical = "a pair has no temperature terms"
+
     @property
     def channels(self) -> tuple[str, ...]:
         """The channels of all pairs, each once."""
@@ -140,6 +176,9 @@ class Rotation(Procedure):
             f"{self.name} has no positions, its stage turns: match the pairs of a recorded log with `tiltcal match`, "
             f"or at the bench with `tiltcal measure {self.name}`"
         )
+
+    def in_turns(self) -> Rotation:
+        return self
 
     def require_usable(self, **stated: object) -> None:
         for option, value in stated.items():
@@ -180,6 +219,10 @@ class PositionProcedure(Procedure):
     def thermal(self) -> bool:
         """Whether it determines temperature terms."""
         return bool(self.drift or self.gain)
+
+    @property
+    def without_typical(self) -> str:
+        return "it has no temperature terms, or measures them" if self.thermal or self.needs_base else ""
 
     @property
     def length(self) -> str:
@@ -243,6 +286,8 @@ class Positions(PositionProcedure):
     cross_validated: bool = False
     compares: bool = False
 
+    takes_reference = True
+
     @property
     def once(self) -> str:
         order = "the order of a sweep's temperatures shows hysteresis: no position can be taken again out of it"
@@ -256,12 +301,17 @@ class Positions(PositionProcedure):
 class VerifyingPositions(PositionProcedure):
     """Positions that are set, and judged by a calibration."""
 
+    agrees = False
+    takes_reference = True
+
     def verifying(self) -> VerifyingPositions:
         return self
 
 
 class FreePositions(PositionProcedure):
     """Positions that nobody sets."""
+
+    free = True
 
     @property
     def known(self) -> Mapping[str, Position]:
@@ -284,6 +334,9 @@ class Ramp(PositionProcedure):
     within: float  # how close to its temperature a leg ends, °C
     interval: float  # between two samples, seconds
     patience: float  # without a change that end a leg, seconds
+
+    agrees = False
+    continuous = True
 
     @property
     def once(self) -> str:
@@ -316,6 +369,8 @@ class MountingCompletion(Completion):
 @dataclass(frozen=True, kw_only=True)
 class LevelCompletion(Completion):
     """Level positions, which renew the offset; the sensor may sit askew by ``alignment`` since, degrees."""
+
+    renews = True
 
 
 def _procedure_of(file: ProcedureFile, document: Document, given: float | None) -> PositionProcedure:

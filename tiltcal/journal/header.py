@@ -160,9 +160,7 @@ class Setup(Record, kw_only=True, dict=True):
 
     def stage_channels(self) -> StageChannels:
         """Return which readings of the sensors are the channels of a turning stage, as :func:`stage_channels`."""
-        if not isinstance(self.steps, Rotation):
-            raise UsageError(f"{self.steps.name} lets no stage turn")
-        return stage_channels(self.steps, [(device.serial, device.wired) for device in self.sensors])
+        return stage_channels(self.steps.in_turns(), [(device.serial, device.wired) for device in self.sensors])
 
     def header(self) -> dict[str, Any]:
         """Return the header of the session's journal as plain data."""

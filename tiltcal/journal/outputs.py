@@ -10,7 +10,6 @@ from shlex import quote
 from tiltcal.errors import Argument, UsageError
 from tiltcal.files.atomic import check_writable
 from tiltcal.files.calibration_output import require_replaceable, write_calibration
-from tiltcal.files.procedure import Rotation
 from tiltcal.files.results import Sensors
 from tiltcal.journal.header import Setup
 from tiltcal.journal.session import RecordedSession
@@ -27,7 +26,7 @@ class SessionFiles:
     def __init__(self, setup: Setup, journal: Path, output: Path | None = None) -> None:
         self.journal = journal
         self._identities = [(device.model, device.serial) for device in setup.sensors]
-        self._turning = isinstance(setup.steps, Rotation)
+        self._together = setup.steps.one_file
         self._named = output
         planned = {
             device.serial: Path(os.path.normpath(journal.parent / device.output))
@@ -74,7 +73,7 @@ class SessionFiles:
 
     def sensors_of(self, serial: str) -> Sensors:
         """Return what the calibration in the output of a serial number is of."""
-        if self._turning:
+        if self._together:
             return ("pair", *self._identities)
         return ("tilt", next(one for one in self._identities if one[1] == serial))
 

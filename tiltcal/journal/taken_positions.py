@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 
 from tiltcal.errors import InputError
-from tiltcal.files.procedure import Position, Ramp
+from tiltcal.files.procedure import Position
 from tiltcal.journal.header import Setup
 from tiltcal.journal.lines import OperatorAnswer
 from tiltcal.journal.positions import PositionResult
@@ -21,7 +21,7 @@ class TakenPositions:
 
     def __init__(self, setup: Setup) -> None:
         self.setup = setup
-        self._ramps = isinstance(setup.steps, Ramp)
+        self._ramps = setup.steps.continuous
         self.accepted: list[PositionResult] = []
         self.last: PositionResult | None = None
         self._again: Counter[str] = Counter()

@@ -32,7 +32,7 @@ from tiltcal.files.defaults import Defaults
 from tiltcal.files.device import model_named
 from tiltcal.files.document import read_document
 from tiltcal.files.pair import PairRecord
-from tiltcal.files.procedure import LevelCompletion, Procedure, Rotation, find_procedure
+from tiltcal.files.procedure import Procedure, Rotation, find_procedure
 from tiltcal.journal.calibrations import texts_of
 from tiltcal.journal.header import Setup, stage_channels
 from tiltcal.journal.lines import Journal
@@ -92,7 +92,7 @@ def plan(procedure: str | Path, **options: Unpack[PlanOptions]) -> Plan:
     if stated["closing"]:
         steps = steps.in_positions().with_closing()
     steps.require_usable(jig=jig)
-    if own is not None or isinstance(steps, LevelCompletion):
+    if own is not None or steps.renews:
         bases_of(steps, base, [] if own is None else [own.sensor.serial])
     if isinstance(steps, Rotation):
         channels = stage_channels(steps, [("", model)])
@@ -234,9 +234,8 @@ def _begun(procedure: str | Path | None, given: MeasureOptions) -> Session:
         bench = known_bench(read_document(named))
         require_trusted(bench, named, given["python"])
     bench = bench.with_stated(jig=given["jig"], table_lean=given["table_lean"], heading=given["heading"])
-    turns = isinstance(steps, Rotation)
-    bench = defaults.completing(bench, "operator", "references", *([] if turns else ["jig"]))
-    output = given["output"] if turns else defaults.instead("folder", given["output"])
+    bench = defaults.completing(bench, "operator", "references", *([] if steps.one_file else ["jig"]))
+    output = given["output"] if steps.one_file else defaults.instead("folder", given["output"])
     if output is not None:
         output = Path(output) / ("" if given["output"] or named else f"{one['serial']}.yaml")
     bases = bases_of(steps, base, [sensor.serial for sensor in bench.sensors])
@@ -337,7 +336,7 @@ def _outputs(
     A bench's sensors each have a file of their own, named for their serial number, in the folder that -o names; those
     of a stage that turns have one together, which -o names.
     """
-    if isinstance(procedure, Rotation):
+    if procedure.one_file:
         if output is None or os.path.isdir(output):
             advice = ("name it with ", Argument("output", "PAIR.yaml"))
             raise UsageError("the pairs of a stage have one file together", advice=advice)
@@ -377,15 +376,14 @@ def _results(
     for name, statistics in session.recorded.playback.link_statistics().items():
         remark(f"{name}: {link_in_words(statistics)}")
     setup, steps = session.setup, session.setup.steps
-    if isinstance(steps, Rotation):
+    if isinstance(records[0], PairRecord):
         pair = PairCalibration(records[0])
         (result or unheard)(str(pair))
         return pair
     calibrations = [Calibration(record) for record in records if isinstance(record, CalibrationRecord)]
-    renewed = isinstance(steps, LevelCompletion)
-    _remark_notes(calibrations, remark, renewed=renewed, judged=result is not None)
+    _remark_notes(calibrations, remark, renewed=steps.renews, judged=result is not None)
     for calibration in calibrations:
-        if renewed:
+        if steps.renews:
             (result or remark)(level_summary(calibration.record))
         else:
             (result or unheard)(summary(calibration.record, notes=False))

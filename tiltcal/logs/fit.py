@@ -89,7 +89,7 @@ def fit_recorded(
         header, options, signs = _header_of(logs, options)
         unknown = own is None and model is None
         unit = options["unit"] or (header.unit if unknown else None)
-        by_length = unknown and unit is None and not isinstance(steps, Ramp) and not header.units
+        by_length = unknown and unit is None and not steps.continuous and not header.units
         by_length = by_length and not (table and steps.known)
         identity = _identity(own, model, steps, UNSTATED if by_length else unit, serial)
         if unknown:
@@ -191,7 +191,7 @@ def _require_table_alone(data: Any, procedure: PositionProcedure, options: FitOp
     if options["segments"] is not None:
         why = ("a ", Argument("table"), " has its positions already")
         raise UsageError(why, advice=("leave ", Argument("segments"), " out"))
-    if isinstance(procedure, Ramp):
+    if procedure.continuous:
         why = (f"{procedure.name} takes a continuous record, not a ", Argument("table"), " of positions")
         raise UsageError(why)
 
