@@ -59,7 +59,7 @@ CHAPTERS = {
     "First steps": ["docs/tutorial", "docs/which-sensor", "docs/wiring"],
     "How to": ["docs/how-to/README", "docs/season", "docs/library", "examples/README", "docs/add-a-device"],
     "Understand": ["docs/explanation", "docs/glossary"],
-    "Reference": ["docs/reference/cli", "docs/reference/files", "docs/reference/library"],
+    "Reference": ["docs/reference/cli", "docs/reference/files", "docs/reference/protocol", "docs/reference/library"],
     "Develop": [
         "docs/architecture",
         "CONTRIBUTING",

@@ -1,18 +1,24 @@
-"""Write the generated reference pages: cli.md, library.md, and the tables of files.md; --check only compares."""
+"""Write the reference pages: cli.md, library.md, protocol.md, and the tables of files.md; --check only compares."""
 
 from __future__ import annotations
 
 import inspect
 import re
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
+from types import NoneType, UnionType
+from typing import Any, Union, get_args, get_origin
 
 import tables
 from click.testing import CliRunner
+from msgspec import Struct
+from msgspec.structs import fields
 
 import tiltcal
+from tiltcal.bench import messages
 from tiltcal.cli.main import COMMANDS, group
+from tiltcal.journal.lines import OperatorAnswer
 
 HERE = Path(__file__).parent
 
@@ -40,6 +46,15 @@ library](../library.md) has examples, the [glossary](../glossary.md) the terms.
 
 `import tiltcal` provides the names below and loads no other package; each name is imported at its first use. What the
 command line refuses, the library refuses with the same `tiltcal.TiltcalError` and the same words.
+"""
+
+PROTOCOL_INTRODUCTION = """\
+# Protocol of programs
+
+`make reference` writes this page from the types of the messages; a test checks that it is current. `--operator json`
+writes one object a line to standard output and reads one a line from standard input; a Python object as `operator` has
+a method of the name of each question and event. [A table from a program](../how-to/table-or-chamber.md#from-a-program)
+has an example.
 """
 
 SECTION = re.compile(r"^(?P<name>[A-Z][a-z]+)\n-{3,}\n", re.MULTILINE)
@@ -170,7 +185,49 @@ def _inline(text: str) -> str:
     return text.replace("``", "`")
 
 
-PAGES = {"cli.md": commands_page, "library.md": library_page, "files.md": tables.page}
+NAMES = {str: "text", bool: "true or false", int: "whole number", float: "number", NoneType: "null"}
+
+
+def protocol_page() -> str:
+    """Return the page of what a program says and gets, from the types of the messages."""
+    parts = [PROTOCOL_INTRODUCTION, _prose((messages.__doc__ or "").partition("\n\n")[2])]
+    for title, base in (("Questions", messages.Question), ("Events", messages.Heard)):
+        parts.append(f"## {title}\n")
+        for one in (kind for kind in base.__subclasses__() if kind.heard):
+            config = one.__struct_config__
+            parts.append(f"### `{config.tag}`\n\n{_prose(inspect.getdoc(one) or '')}")
+            parts.append(_object(one, f'"{config.tag_field}": "{config.tag}"'))
+            if base is messages.Question:
+                parts.append(f"Answers: {', '.join(f'`{word}`' for word in one.words)}.\n")
+    return "\n".join([*parts, "## Answers\n", _prose(inspect.getdoc(OperatorAnswer) or ""), _object(OperatorAnswer)])
+
+
+def _object(kind: type[Struct], first: str = "") -> str:
+    """Return the keys of a message as a block, and which may be absent."""
+    absent = ", ".join(f"`{one.encode_name}`" for one in fields(kind) if not one.required and one.name != "to")
+    block = ",\n ".join(filter(None, (first, *_keys(kind))))
+    return f"```text\n{{{block}}}\n```\n" + (f"\nMay be absent: {absent}.\n" if absent else "")
+
+
+def _keys(kind: type[Struct]) -> list[str]:
+    return [f'"{one.encode_name}": {_shape(one.type)}' for one in fields(kind) if one.name != "to"]
+
+
+def _shape(kind: Any) -> str:
+    """Return in words what a value is."""
+    if hasattr(kind, "__metadata__"):
+        return _shape(kind.__origin__)
+    if isinstance(kind, type) and issubclass(kind, Struct):
+        return f"{{{', '.join(_keys(kind))}}}"
+    if get_origin(kind) is None:
+        return NAMES[kind]
+    inner = [_shape(one) for one in get_args(kind) if one is not Ellipsis]
+    if get_origin(kind) in (Union, UnionType):
+        return " or ".join(inner)
+    return f"{{name: {inner[1]}}}" if get_origin(kind) is Mapping else f"[{', '.join(inner)}]"
+
+
+PAGES = {"cli.md": commands_page, "library.md": library_page, "protocol.md": protocol_page, "files.md": tables.page}
 
 
 def main(arguments: list[str]) -> int:

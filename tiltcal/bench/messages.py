@@ -1,30 +1,12 @@
 """The questions that a session asks its operator, and the events that it tells: what a program gets as JSON Lines.
 
-A session asks, and the answer is ``{"answer": ...}``; it tells what has happened::
+A question is an object with ``ask``, an event one with ``event``. The answer to a question is an object with one of its
+words as ``answer``; beside ``ready`` stands what was really reached: ``{"answer": "ready", "tilt": {"y": 30.02}}``.
+While a stage turns, ``stop`` and ``quit`` may come unasked; of a Python object from its method ``poll``.
 
-    {"ask": "position", "position": "y-tilt1", "tilt": {"y": 30.0}, "gravity": [0, 0.5, 0.866], "heading": 0,
-     "temperature": null, "prompt": "Tilt the +Y side up to 30°"}
-        -> {"answer": "ready"}            or {"answer": "ready", "tilt": {"y": 30.02}, "temperature": 5.4}
-           or {"answer": "redo" | "back" | "quit"}
-           or {"answer": "again", "position": "x-tilt1"}
-    {"event": "waiting", "position": "y-tilt1", "seconds": 60, "why": "...", "temperature": 5.4}
-    {"event": "accepted", "position": "y-tilt1", "mean": {...}, "std": {...}, "n": 100}
-    {"event": "refused", "position": "y-tilt1", "why": "..."}             (followed by the same question)
-    {"event": "lost", "sensor": "A-1006", "why": "..."}                   (of several sensors one is given up)
-    {"event": "done", "calibrations": ["S-0042.yaml"], "journal": "..."}
-
-The operator of a turning stage is asked once, and may stop it at any time::
-
-    {"ask": "rotation", "pairs": [{"pair": ["a1", "a2"], "orthogonal": "a4"}], "turns": 100, "prompt": "..."}
-        -> {"answer": "ready"}            or {"answer": "quit"}
-    {"ask": "poll"} -> nothing, {"answer": "stop"} or {"answer": "quit"}
-    {"event": "turn", "turn": 12, "of": 100, "p": {"a1_a2": ...}, "q": {...}, "u_p": {...}, "u_q": {...}}
-    {"event": "held", "why": "..."}, {"event": "resumed"}
-    {"event": "accepted", "position": "rotation", "turns": 25.1, "p": {...}, ..., "suppression": {...}}
-
-``waiting`` comes once a minute. ``redo`` asks for the same position again; ``back`` withdraws the one that was accepted
-last, ``again`` the one that it names, also unasked while a reading settles; it is asked for anew. Of positions with one
-temperature, heading and stage the order is free: ``ready`` may name the one that was set, ``again`` one to ask for.
+``redo`` asks for the same position again; ``back`` withdraws the one that was accepted last, ``again`` the one that it
+names, also unasked while a reading settles; it is asked for anew. Of positions with one temperature, heading and stage
+the order is free: ``ready`` may name the one that was set, ``again`` one to ask for. ``quit`` stops and keeps all.
 A person is asked for a review of each position and before the files are written too, and sees every reading. Before
 that the positions are judged: one that contradicts the others is refused and asked for again.
 """
@@ -45,7 +27,9 @@ ByName = Mapping[str, float]  # by channel, or by pair
 
 @dataclass_transform(frozen_default=True)
 class Message(Struct, frozen=True, omit_defaults=True):
-    """A question or an event."""
+    """A question or an event; ``heard`` is whether a program gets it."""
+
+    heard: ClassVar[bool] = False
 
     @property
     def kind(self) -> str:
@@ -72,6 +56,7 @@ class Question(Message, tag_field="ask"):
 class PositionQuestion(Question, kw_only=True, tag="position"):
     """To bring the sensors into a position; angles are degrees, the temperature °C."""
 
+    heard: ClassVar[bool] = True
     words: ClassVar[tuple[str, ...]] = ("ready", "redo", "back", "again", "quit")
     usual: ClassVar[str] = "ready"
 
@@ -100,6 +85,7 @@ class StagePair(Struct, frozen=True):
 class RotationQuestion(Question, tag="rotation"):
     """To let the stage turn."""
 
+    heard: ClassVar[bool] = True
     words: ClassVar[tuple[str, ...]] = ("ready", "quit")
     usual: ClassVar[str] = "ready"
 
@@ -180,9 +166,7 @@ class AfterwardsQuestion(Question, tag="afterwards"):
 
 
 class SessionEvent(Message, tag_field="event"):
-    """What has happened; ``heard`` is whether a program gets it."""
-
-    heard: ClassVar[bool] = False
+    """What has happened."""
 
 
 class Heard(SessionEvent):
@@ -241,7 +225,7 @@ class Moved(SessionEvent, tag="moved"):
 
 
 class Waiting(Heard, tag="waiting"):
-    """It takes long: the seconds since the answer, why, and the temperature, °C."""
+    """It takes long, once a minute: the seconds since the answer, why, and the temperature, °C."""
 
     position: str
     seconds: int
@@ -309,7 +293,7 @@ class TurnMade(Heard, tag="turn"):
 
 
 class Refused(Heard, tag="refused"):
-    """A position or an answer does not count."""
+    """A position or an answer does not count; the same question follows."""
 
     position: str
     why: str

@@ -189,7 +189,7 @@ class Program(Operator):
         """Ask, and wait for the answer; to a poll return what the program has said without being asked."""
         if isinstance(question, messages.Poll):
             return self._next() if self._answers.waiting() else None
-        if not isinstance(question, messages.PositionQuestion | messages.RotationQuestion):
+        if not question.heard:
             return self._again() or usual(question)
         self._send(question)
         return self._next()
@@ -240,7 +240,7 @@ class PythonObject(Operator):
         if isinstance(question, messages.Poll | messages.Settling):
             said = self._rig.poll() if hasattr(self._rig, "poll") else None
             return said if isinstance(question, messages.Poll) or again(said) else None
-        if isinstance(question, messages.PositionQuestion | messages.RotationQuestion):
+        if question.heard:
             return getattr(self._rig, question.kind)(question.as_data())
         return usual(question)
 

@@ -308,7 +308,7 @@ def _damage(why: str, path: Path, number: int) -> JournalError:
 class OperatorAnswer(Record, kw_only=True):
     """An answer of the operator to a question: a word, and what was actually set where that is not as asked.
 
-    Angles are in degrees; ``temperature``, in °C, was typed. ``position`` is the accepted one that is taken ``again``.
+    Angles are in degrees; ``temperature``, in °C, was typed. ``position`` is the one set, or taken ``again``.
     """
 
     to: str = ""
