@@ -63,6 +63,54 @@ class PairEntry(Record, kw_only=True):
     ]
     component_uncertainty: Annotated[ByStage[tuple[Size, Size]], about("their standard uncertainties")]
 
+    @property
+    def matching(self) -> Matching:
+        """The matching, which nothing has checked."""
+        pair, u = Pair(*self.pair, self.orthogonal), self.component_uncertainty
+        names = (*pair.channels, SUM)
+        components = {
+            stage: {name: Component(*self.components[stage][name], *u[stage][name]) for name in names}
+            for stage in STAGES
+        }
+        return Matching(self.p, self.q, self.uncertainty.p, self.uncertainty.q, pair, components)
+
+    def checked(self, place: Document) -> Matching:
+        """Return the matching; an InputError where the keys contradict one another."""
+        pair = Pair(*self.pair, self.orthogonal)
+        if len(set(pair.channels)) < len(pair.channels):
+            raise place.error("pair and orthogonal are three different channels", "orthogonal")
+        if self.p >= 1.0:
+            raise place.error(f"p is {self.p:g}; it must be below 1: the second accelerometer is divided by 1 - p", "p")
+        for key in ("components", "component_uncertainty"):
+            stages = getattr(self, key)
+            place.require_keys(stages, STAGES, key, complete=True)
+            for stage, row in stages.items():
+                place.require_keys(row, (*pair.channels, SUM), key, stage, complete=True)
+        return self.matching
+
+    @classmethod
+    def of(cls, matching: Matching) -> PairEntry:
+        """Return the section with the digits of the file, from which its suppression follows."""
+        u_p, u_q = significant(matching.u_p, _DIGITS), significant(matching.u_q, _DIGITS)
+        stages = matching.components.items()
+        entry = cls(
+            pair=(matching.pair.first, matching.pair.second),
+            orthogonal=matching.pair.orthogonal,
+            p=round_to(matching.p, matching.u_p),
+            q=round_to(matching.q, matching.u_q),
+            uncertainty=CoefficientUncertainty(p=u_p, q=u_q),
+            components={
+                stage: {name: (round_to(c.sin, c.u_sin), round_to(c.cos, c.u_cos)) for name, c in row.items()}
+                for stage, row in stages
+            },
+            component_uncertainty={
+                stage: {name: (significant(c.u_sin, _DIGITS), significant(c.u_cos, _DIGITS)) for name, c in row.items()}
+                for stage, row in stages
+            },
+        )
+        suppression = {name: significant(value, _DIGITS) for name, value in entry.matching.suppression.items()}
+        return entry.replaced(suppression=Suppression(**suppression))
+
 
 class PairFile(Record, kw_only=True):
     """The content of a pair file as it stands there."""
@@ -95,7 +143,7 @@ class PairRecord:
                 frequency=None if frequency is None else significant(frequency, _SPIN_DIGITS),
             ),
             online=self.online,
-            pairs=tuple(map(_entry_of, self.matchings)),
+            pairs=tuple(map(PairEntry.of, self.matchings)),
             provenance=self.provenance,
         )
         return yaml_text(file_data("pair", file), comments)
@@ -111,55 +159,8 @@ def pair_record(document: Document) -> PairRecord:
     """Return the content of a pair file, checked; an InputError names file, line and key."""
     document = document.body("pair")
     file = document.read(PairFile)
-    matchings = tuple(_checked(entry, document.at("pairs", number)) for number, entry in enumerate(file.pairs))
+    matchings = tuple(entry.checked(document.at("pairs", number)) for number, entry in enumerate(file.pairs))
     if len({matching.pair.name for matching in matchings}) < len(matchings):
         raise document.error("the same pair is there twice", "pairs")
     document.at("provenance").require_moments(file.provenance, "started", "ended")
     return PairRecord(spin=file.spin, online=file.online, matchings=matchings, provenance=file.provenance)
-
-
-def _checked(entry: PairEntry, place: Document) -> Matching:
-    """Return the matching of a section; an InputError where its keys contradict one another."""
-    pair = Pair(*entry.pair, entry.orthogonal)
-    if len(set(pair.channels)) < len(pair.channels):
-        raise place.error("pair and orthogonal are three different channels", "orthogonal")
-    if entry.p >= 1.0:
-        raise place.error(f"p is {entry.p:g}; it must be below 1: the second accelerometer is divided by 1 - p", "p")
-    for key in ("components", "component_uncertainty"):
-        stages = getattr(entry, key)
-        place.require_keys(stages, STAGES, key, complete=True)
-        for stage, row in stages.items():
-            place.require_keys(row, (*pair.channels, SUM), key, stage, complete=True)
-    return _matching(entry)
-
-
-def _matching(entry: PairEntry) -> Matching:
-    pair, u = Pair(*entry.pair, entry.orthogonal), entry.component_uncertainty
-    names = (*pair.channels, SUM)
-    components = {
-        stage: {name: Component(*entry.components[stage][name], *u[stage][name]) for name in names} for stage in STAGES
-    }
-    return Matching(entry.p, entry.q, entry.uncertainty.p, entry.uncertainty.q, pair, components)
-
-
-def _entry_of(matching: Matching) -> PairEntry:
-    """Return the section with the digits of the file, from which its suppression follows."""
-    u_p, u_q = significant(matching.u_p, _DIGITS), significant(matching.u_q, _DIGITS)
-    stages = matching.components.items()
-    entry = PairEntry(
-        pair=(matching.pair.first, matching.pair.second),
-        orthogonal=matching.pair.orthogonal,
-        p=round_to(matching.p, matching.u_p),
-        q=round_to(matching.q, matching.u_q),
-        uncertainty=CoefficientUncertainty(p=u_p, q=u_q),
-        components={
-            stage: {name: (round_to(c.sin, c.u_sin), round_to(c.cos, c.u_cos)) for name, c in row.items()}
-            for stage, row in stages
-        },
-        component_uncertainty={
-            stage: {name: (significant(c.u_sin, _DIGITS), significant(c.u_cos, _DIGITS)) for name, c in row.items()}
-            for stage, row in stages
-        },
-    )
-    suppression = {name: significant(value, _DIGITS) for name, value in _matching(entry).suppression.items()}
-    return entry.replaced(suppression=Suppression(**suppression))
