@@ -155,7 +155,7 @@ class ColumnLayout:
     def reading(self, line: bytes) -> Reading | None:
         """Return the reading of a line; None where it has other columns, a cell is no number, or a label is another."""
         cells = self._cells(line)
-        if len(cells) != len(self.names) or self.mislabelled(line):
+        if len(cells) != len(self.names) or self._contradicting(cells):
             return None
         numbers, places = {}, []
         for name, (_, text) in zip(self.names, cells, strict=True):
@@ -173,8 +173,10 @@ class ColumnLayout:
 
     def mislabelled(self, line: bytes) -> str:
         """Return the label of a line that contradicts the column at its place; empty where none does."""
-        pairs = zip(self._cells(line), self.names, strict=False)
-        named = (*AXES, TEMPERATURE)
+        return self._contradicting(self._cells(line))
+
+    def _contradicting(self, cells: Sequence[tuple[str, str]]) -> str:
+        pairs, named = zip(cells, self.names, strict=False), (*AXES, TEMPERATURE)
         return next((label for (label, _), name in pairs if name in named and meaning(label) not in (name, "")), "")
 
     def _cells(self, line: bytes) -> list[tuple[str, str]]:

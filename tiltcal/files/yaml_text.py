@@ -116,7 +116,7 @@ class _Composer:
         line = self._checked(event)
         self.lines.setdefault(place, line)
         if isinstance(event, yaml.ScalarEvent):
-            if not is_sent(place):
+            if not event.value.isprintable() and not is_sent(place):
                 require_printable(event.value, dotted(place), self._file, line)
             return None if not event.style and _NULL.fullmatch(event.value) else str(event.value)
         if len(place) >= DEPTH_LIMIT:
@@ -135,7 +135,8 @@ class _Composer:
         if not isinstance(event, yaml.ScalarEvent):
             raise self.error("a key is a list or a mapping; keys are text", line, parent)
         name = str(event.value)
-        require_printable(name, dotted(parent), self._file, line)
+        if not name.isprintable():
+            require_printable(name, dotted(parent), self._file, line)
         if (place := (*parent, name)) in self.lines:
             raise self.error(f"the key {name!r} is given twice, on lines {self.lines[place]} and {line}", line, place)
         self.lines[place] = line
