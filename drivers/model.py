@@ -23,6 +23,7 @@ OF_TILT = {
     **dict.fromkeys(("degree", "deg", "°"), degrees(1.0)),
     "rad": 1.0,
     **dict.fromkeys(("mrad", "mm/m"), 1000.0),
+    **dict.fromkeys(("urad", "µrad"), 1e6),
     "%": 100.0,
     "arcmin": 60.0 * degrees(1.0),
     "arcsec": 3600.0 * degrees(1.0),

@@ -86,6 +86,10 @@ def test_no_angle_is_stated_and_the_reference_says_which(tmp_path: Path) -> None
     assert header["reference"]["zero"] == 0.0025
     planned = tiltcal("plan", "comparison", "--bench", "bench.yaml", "--sensor", "sca100t-d02", cwd=tmp_path)
     assert "a reference whose zero is known to 0.0025°" in planned.stdout, planned.stderr
+    # The data sheet of a D02 states a nonlinearity, which inclinations of one size do not tell from its sensitivity.
+    counts = re.search(r"1[26] inclinations suffice: .* ± (0\.\d+)° with 8, ± (0\.\d+)° with 12", planned.stdout)
+    assert counts is not None, planned.stdout
+    assert 1.5 * float(counts[2]) < float(counts[1])
 
 
 def test_a_program_gets_what_the_reference_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

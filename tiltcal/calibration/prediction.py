@@ -25,7 +25,7 @@ from tiltcal.drivers.model import Model
 from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
 from tiltcal.files.coefficients import ANGLES
-from tiltcal.files.procedure import MountingCompletion, Position, PositionProcedure, Ramp
+from tiltcal.files.procedure import MountingCompletion, Position, PositionProcedure, Ramp, find_procedure
 from tiltcal.printable import in_html, in_minutes
 
 PARTS = 8  # positions that stand for a leg of a ramp
@@ -34,6 +34,9 @@ LEAN = (
     "If the table is not level, its tilt is in the offsets: turn the fixture by 180° and repeat one position, or state "
     "--table-lean."
 )
+
+SIXTEEN, INCLINATIONS, SUFFICES = "comparison-16", (8, 12, 16), 1.05
+"""The comparison that has most inclinations; how many are tried, and within which factor of the best they suffice."""
 
 SHOWN = 3  # positions that are proposed in words
 
@@ -114,6 +117,14 @@ def predict(
     )
     limits = Limits(covered_tilts(design.channels, [position.gravity.tolist() for position in planned]))
     tilts = half_widths(found.coefficients, found.uncertain, limits)
+    by_count = dict[int, float]()
+    if bench.instrument is not None and procedure.compares:
+        if usual := find_procedure(SIXTEEN, procedure.angle).in_positions().positions[len(kept) :]:
+            planned += _planned(usual, design, model, orientation, scatter, samples)
+        for count in sorted({len(kept), *(count for count in INCLINATIONS if count > len(kept))}):
+            reached = predict_uncertainty(design, planned[:count], sensitivity=model.sensitivity, sensors=sensors)
+            halves = half_widths(reached.coefficients, reached.uncertain, limits)
+            by_count[count] = max(float(halves[axis][1].max()) for axis in bench.instrument.axes)
     one_heading = len({(position.heading or 0.0) % 360.0 for position in procedure.positions}) == 1
     not_covered = LEAN if one_heading and bench.table_lean is None and not design.free else None
     data = {
@@ -134,6 +145,10 @@ def predict(
     )
     assumed = f" {_assumed(bench)}" if not design.free else ""
     lines = [*_lines(data, model, bench, design, drift, tilts), *filter(None, (not_covered and f"  {not_covered}",))]
+    if by_count:
+        data["inclinations"] = min(count for count, u in by_count.items() if u <= SUFFICES * min(by_count.values()))
+        reached_by = ", ".join(f"± {u:.2g}° with {count}" for count, u in by_count.items())
+        lines.append(f"  {data['inclinations']} inclinations suffice: all tilts within {reached_by}")
     return Plan(data, "\n".join(lines), f"{near} near level (95 %) is predicted{assumed}")
 
 
