@@ -3,7 +3,7 @@
 import json
 import shutil
 import subprocess
-from math import cos, radians, sin
+from math import cos, degrees, radians, sin
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ from support.command import tiltcal as run
 
 import tiltcal
 from tiltcal.core.attitude import gravity_from_tilt
+from tiltcal.drivers.model import OF_TILT
 from tiltcal.files.procedure import Positions, find_procedure
 
 PRINTS = {
@@ -21,6 +22,14 @@ PRINTS = {
     "mm/m": lambda degrees: 1000.0 * np.tan(np.radians(degrees)),
 }
 GRID = np.array([gravity_from_tilt({"x": x, "y": y}) for x in (-30, -12, 0, 30) for y in (-30, 0, 21)])
+
+
+def test_the_units_of_a_small_tilt() -> None:
+    assert {unit: OF_TILT[unit] for unit in PRINTS} == pytest.approx(
+        {name: of(degrees(1e-6)) * 1e6 for name, of in PRINTS.items()}
+    )
+    minutes = degrees(1.0) * 60
+    assert [OF_TILT[unit] for unit in ("%", "arcmin", "arcsec")] == pytest.approx([100.0, minutes, 60 * minutes])
 
 
 def device(up: np.ndarray, unit: str, angles: str, zero: tuple[float, float] = (3.0, -2.0)) -> np.ndarray:

@@ -237,6 +237,7 @@ def refused(folder: Path, procedure: str, log: str, *options: str) -> str:
         ("free", ("--sensor", "sca100t-d02"), "three channels"),
         ("free", (), "no threshold finds enough attitudes"),
         ("free", ("--gravity", "1.0"), "--gravity"),
+        ("free", ("--gravity", "9.95"), "--gravity"),
         ("free", ("--segments", "three.csv"), "3 free positions"),
     ],
 )

@@ -313,6 +313,13 @@ def test_a_part_that_nobody_has_woken_measures_nothing(name: str) -> None:
     assert set(sensor.registers(*sensor.part.bursts[0]).values()) == {0}
 
 
+def test_a_number_without_a_sign_uses_all_of_its_bits_and_a_part_tells_its_mode() -> None:
+    bench = Bench("modbus-columns columns=x@0:float32,temperature@4:uint16*0.0005")
+    bench.fixture.move(TILTED, 30.0)
+    assert bench.fresh().temperature == pytest.approx(30.0, abs=1.0)
+    assert VirtualDevice(DEVICES["sca3000-d01"]).sensor.probe()["mode"] == "normal"
+
+
 def test_a_row_of_bytes_is_written_to_a_row_of_registers() -> None:
     """As other programs write the offsets of an ADXL345."""
     link = VirtualDevice(DEVICES["adxl345"]).line.link

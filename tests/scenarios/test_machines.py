@@ -137,14 +137,20 @@ def test_a_machine_that_has_moved_while_it_was_sampled_is_refused(name: str) -> 
 
 def test_a_table_that_creeps_is_awaited() -> None:
     """It tells no state and goes 0.04° from look to look: within its tolerance of 0.05° it still moves."""
+
+    class Nobody(VirtualJig):
+        def ask(self, question: object) -> object:
+            raise AssertionError(question)
+
     clock = VirtualClock()
     table = VirtualTable(np.random.default_rng(1), by_clock(clock))
     table.speed = 0.2
     movers = movers_of({"table": (TABLE.replaced(done=None), table)}, clock)
-    operator = Machines(VirtualJig(), movers, find_procedure("plane"), clock, thermometer=True)
+    operator = Machines(Nobody(), movers, find_procedure("plane"), clock, thermometer=True)
     up = gravity_of({"x": 2.0, "y": 0.0}, "x")
     asked = {"position": "x", "prompt": "", "gravity": up, "tilt": {"x": 2.0}, "heading": 0, "temperature": None}
     assert operator.ask(PositionQuestion(**asked, stage=None)) == {"answer": "ready", "tilt": {"x": 2.0, "y": 0.0}}
+    assert operator.ask(Review("x", {})) == {"answer": "accept"}  # what no person has set, none reviews
 
 
 SENSOR = '  - {serial: S-1, model: sca100t-d02, address: "sim:?seed=1"}\n'

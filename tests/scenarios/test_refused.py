@@ -1,6 +1,7 @@
 """Settings that do not go together are refused before anyone starts, with the reason."""
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -86,3 +87,5 @@ def test_a_plan_says_what_hand_held_positions_will_give() -> None:
     for place, name in enumerate(("offset.x", "offset.y", "offset.z", "sensitivity.x.x", "sensitivity.x.y")):
         assert predicted[name] == pytest.approx(np.sqrt(covariance[place, place]), rel=0.02), name
     assert told["degrees_of_freedom"] == 9
+    said = tiltcal("plan", "free", "--sensor", "sca3000-d01").stdout
+    assert re.findall(r"  (\w+\.[.xyz]+) ", said) == [name for name, u in predicted.items() if u]

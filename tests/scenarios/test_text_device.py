@@ -154,6 +154,7 @@ def test_a_device_is_probed_measured_and_replayed_by_its_file_alone(tmp_path: Pa
         probed = tiltcal("probe", tmp_path / "box.yaml", "--address", f"serial://{path}")
         assert probed.returncode == 0, probed.stderr
         assert "came         'X=+00.000 Y=+00.000\\r\\n'" in probed.stdout
+        assert "beside it    '\\r\\n'\n" in probed.stdout
         wrong = tmp_path / "wrong.yaml"
         wrong.write_text(FILE.replace("Y=", "V="))
         refused = tiltcal("probe", wrong, "--address", f"serial://{path}")

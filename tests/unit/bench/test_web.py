@@ -7,7 +7,17 @@ from typing import Any
 import pytest
 
 from tiltcal.bench.guidance import AxisTilt, Difference, SensorGuidance
-from tiltcal.bench.messages import Accepted, Begin, Look, PositionQuestion, Progress, Refused, ShownReading, ShownSensor
+from tiltcal.bench.messages import (
+    Accepted,
+    Begin,
+    Look,
+    PositionQuestion,
+    Progress,
+    Refused,
+    Review,
+    ShownReading,
+    ShownSensor,
+)
 from tiltcal.bench.operators import LOOK
 from tiltcal.bench.page_server import PageState
 from tiltcal.bench.web import WebOperator
@@ -71,7 +81,9 @@ def at_once(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_the_next_position_is_taken_where_the_readings_show_it() -> None:
-    assert Bench().answers(question("up")) == "ready"
+    bench = Bench()
+    assert bench.answers(question("up")) == "ready"
+    assert bench.operator.ask(Review("up", {})) == {"answer": "accept"}
 
 
 def test_all_else_asks_a_person_and_says_what_it_waits_for() -> None:
