@@ -6,15 +6,15 @@ from typing import TYPE_CHECKING
 
 from tiltcal.bench import messages
 from tiltcal.bench.devices import Recorder, SensorSet
-from tiltcal.bench.guidance import SensorGuidance
+from tiltcal.bench.guidance import SensorGuidance, tilt_guidance
 from tiltcal.bench.operators import LOOK, Operator, understood
-from tiltcal.bench.reference import guidance_of
 from tiltcal.core.attitude import Vector
 from tiltcal.errors import HardwareError, InputError, Stopped
 from tiltcal.files.procedure import Position
 from tiltcal.files.record import plain
 from tiltcal.journal.lines import ANSWER, OperatorAnswer
 from tiltcal.journal.playback import Sample
+from tiltcal.journal.reference import sines
 from tiltcal.journal.session import RecordedSession
 
 if TYPE_CHECKING:
@@ -159,6 +159,6 @@ class Conversation:
         device, reading = self._recorded.setup.reference, sample.reference
         if device is None or reading is None:
             return {}
-        guide = SensorGuidance() if up is None else guidance_of(device, reading, up)
+        guide = SensorGuidance() if up is None else tilt_guidance(sines(device, reading), device.orientation, up)
         values = dict(zip(device.wired.channels, reading.values, strict=True))
         return {device.serial: messages.ShownReading(values, None, guide)}

@@ -176,13 +176,11 @@ def calibrated_guidance(
     return replace(guide, calibrated=True)
 
 
-def tilt_guidance(
-    sines: Mapping[str, float], orientation: Orientation, gravity: Vector, tolerance: float
-) -> SensorGuidance:
-    """Return the guidance of a reference by the sines of the tilts that it reads; ``tolerance`` is in degrees."""
+def tilt_guidance(sines: Mapping[str, float], orientation: Orientation, gravity: Vector) -> SensorGuidance:
+    """Return the guidance of a reference by the sines of the tilts that it reads."""
     seen = orientation.seen(gravity)
     wanted = [seen[AXES.index(channel)] for channel in sines]
-    return _guidance(tuple(sines), list(sines.values()), orientation, gravity, wanted, tolerance=tolerance)
+    return _guidance(tuple(sines), list(sines.values()), orientation, gravity, wanted, tolerance=COARSE)
 
 
 def _guidance(

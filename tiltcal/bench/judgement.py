@@ -43,14 +43,14 @@ class Judgement:
             fitted(session.recorded)
         except EstimateError as error:
             wrong = error.positions if isinstance(error, WrongPositions) else ()
-            for result in session.accepted:
+            for result in session.recorded.accepted:
                 if result.position.name in wrong:
                     self._takes.setdefault(result.position.name, []).append(_in_words(result))
             most = max(wrong, key=lambda name: len(self._takes[name]), default="")
-            if not wrong or steps.once or len(self._takes[most]) >= MOST_TAKES:
+            if not wrong or steps.why_not_again or len(self._takes[most]) >= MOST_TAKES:
                 self._stop(error, most)
                 return
-            names = self._operator.to_take_again(wrong, [result.position.name for result in session.accepted])
+            names = self._operator.to_take_again(wrong, [result.position.name for result in session.recorded.accepted])
             for name in names:
                 session.talk.note(OperatorAnswer(to="judgement", answer="again", position=name), chooses=False)
             why, _, _ = str(error).partition(":")
@@ -64,7 +64,7 @@ class Judgement:
         if position:
             *_, before, now = ["", *self._takes[position]]
             jig = "" if self._session.setup.settings.jig else "; no jig is stated"
-            repeated = f"; before, it read {before}" if before else f"; {self._session.setup.steps.once}"
+            repeated = f"; before, it read {before}" if before else f"; {self._session.setup.steps.why_not_again}"
             why = f"{position} read {now}{repeated}; {why}{jig}"
             if len(self._takes[position]) > 1:
                 why = f"{len(self._takes[position])} takes without agreement: {why}"

@@ -112,7 +112,7 @@ class LiveTilt:
         if self.flag != PASS:
             parts = [FLAGS[self.flag], *parts[:-1], parts[-1].removeprefix(FLAGS[self.flag]).strip()]
         line = ""
-        for part in sorted(parts, key=lambda part: part not in FLAGS.values() and part[:4] not in ("pitc", "roll")):
+        for part in sorted(parts, key=lambda one: one not in FLAGS.values() and not one.startswith(("pitch", "roll"))):
             line += f"   {part}" if len(line) + 3 + len(part) <= width else ""
         return line or f"   {parts[0]}"[:width]
 

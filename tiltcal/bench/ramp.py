@@ -31,20 +31,20 @@ class RampLegs:
         session, sensors = self._session, self._session.sensors.sensors
         answer = session.ask_for(position)
         if answer.answer != "ready":
-            raise Unsettled(self._ramp.once)
+            raise Unsettled(self._ramp.why_not_again)
         # A temperature that is typed is that of one moment; the thermometer is read all the time.
         actual = replace(as_set(position, answer), temperature=position.temperature)
-        if session.accepted and actual.gravity != session.accepted[0].position.gravity:
+        if session.recorded.accepted and actual.gravity != session.recorded.accepted[0].position.gravity:
             raise Unsettled("a ramp has one attitude: leave the sensor as it lies")
-        first = session.leg[0].line if session.leg else session.recorder.line + 1
-        samples = [*session.leg, *self._on_the_way(position)]
+        first = session.recorded.leg[0].line if session.recorded.leg else session.recorder.line + 1
+        samples = [*session.recorded.leg, *self._on_the_way(position)]
         last = session.recorder.line
         for sensor in sensors:
             railed = [why for sample in samples if (why := at_rail(sample[sensor.serial], sensor.wired))]
             if railed:
                 require_few(len(railed), len(samples), railed[-1])
         result = result_of(sensors, actual, position, samples, session.setup.stamp_after(session.recorder.now_ns()))
-        session.leg = []
+        session.recorded.leg = []
         session.accept(result, {"lines": [first, last]})
 
     def _on_the_way(self, position: Position) -> list[Sample]:

@@ -12,7 +12,6 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from tiltcal.bench.devices import RECOVERY, Recorder, SensorSet, VirtualBench, connected, probe_devices
 from tiltcal.drivers.bus.clock import VIRTUAL_START, Clock, session_clock
@@ -23,9 +22,6 @@ from tiltcal.files.bench import BenchFile
 from tiltcal.files.moments import moment_after
 from tiltcal.journal.header import THERMOMETER, thermometer_of
 from tiltcal.journal.samples import LogColumns, _row
-
-if TYPE_CHECKING:
-    pass
 
 SECURE_NS = 1_000_000_000  # time that a row may wait for the disk, ns
 

@@ -5,11 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from math import asin, degrees, fsum, sqrt
 
-from tiltcal.bench.guidance import COARSE, SensorGuidance, tilt_guidance
 from tiltcal.bench.settle import Unsettled
-from tiltcal.core.attitude import Vector
 from tiltcal.core.samples import drift
-from tiltcal.drivers.model import OF_G, OF_TILT, Reading
+from tiltcal.drivers.model import OF_G, OF_TILT
 from tiltcal.errors import Argument, UsageError
 from tiltcal.files.bench import BenchFile
 from tiltcal.journal.header import ReferenceDevice
@@ -69,8 +67,3 @@ def require_steady(device: ReferenceDevice, samples: Sequence[Sample]) -> None:
                 f"the reference scatters by {scatter:.2g}° in {channel}, so that the mean of {len(tilts)} is not "
                 f"as good as its repeatability of {device.repeatability:g}°: is it at rest? Else take more --samples"
             )
-
-
-def guidance_of(device: ReferenceDevice, reading: Reading, gravity: Vector) -> SensorGuidance:
-    """Return the target, the reading and the difference of a reference where the plate is to be held in an attitude."""
-    return tilt_guidance(sines(device, reading), device.orientation, gravity, COARSE)

@@ -26,6 +26,7 @@ from tiltcal.bench.settle import NEAR, Unsettled, Window, movement, row_of, wait
 from tiltcal.drivers.bus.clock import session_clock
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.procedure import Position, Ramp
+from tiltcal.files.record import plain
 from tiltcal.journal.header import Setup
 from tiltcal.journal.lines import POSITION, RESUMED, Journal, JournalWriter, OperatorAnswer
 from tiltcal.journal.outputs import SessionFiles
@@ -44,16 +45,13 @@ class Session:
     """A setup being carried out, with its journal at ``path``, which held ``before`` what an interruption left.
 
     ``output`` takes the place of where the setup says that calibrations go. ``recorded`` is what the journal holds,
-    ``accepted`` are the positions so far, ``leg`` the samples of a ramp's leg. The journal is ``captured`` where it has
-    a begin, and ``finished`` where it has its end.
+    which is ``captured`` where it has a begin, and ``finished`` where it has its end.
     """
 
     sensors: SensorSet
     recorded: RecordedSession
     recorder: Recorder
     writer: JournalWriter
-    accepted: list[PositionResult]
-    leg: list[Sample]
     talk: Conversation
     _soaked: float | None
     """The temperature that the sensors have, °C; None on the way."""
@@ -91,7 +89,7 @@ class Session:
         """Open the journal and the devices until the end of the stack, and tell the operator what begins."""
         setup = self.setup
         if self.before is None:
-            self.writer = JournalWriter.create(self.files.journal, setup.header())
+            self.writer = JournalWriter.create(self.files.journal, plain(setup))
             self.recorded = RecordedSession(Journal(self.files.journal), setup)
         else:
             self.writer = JournalWriter.resume(self.recorded.journal)
@@ -112,7 +110,7 @@ class Session:
                 attitudes={position.name: position.gravity for position in setup.steps.positions},
                 free=setup.steps.free,
                 headings=any(position.heading for position in setup.steps.positions),
-                accepted=[result.position.name for result in self.accepted],
+                accepted=[result.position.name for result in self.recorded.accepted],
                 sensors={
                     sensor.serial: messages.ShownSensor(
                         model.name,
@@ -132,13 +130,12 @@ class Session:
 
     def _go_on(self) -> None:
         """Go on from what the journal holds; the virtual jig has taken its positions, too."""
-        self.accepted, self.leg = self.recorded.accepted, self.recorded.leg
         last = self.recorded.last
-        withdrawn = [] if last is None or any(result is last for result in self.accepted) else [last]
-        for result in (*self.accepted, *withdrawn):
+        withdrawn = [] if last is None or any(result is last for result in self.recorded.accepted) else [last]
+        for result in (*self.recorded.accepted, *withdrawn):
             self._hold(replace(result.position, temperature=result.asked))
-        if self.leg:
-            (reading, *_) = self.leg[-1].values()
+        if self.recorded.leg:
+            (reading, *_) = self.recorded.leg[-1].values()
             self._hold(replace(self.recorded.open[0], temperature=reading.temperature))
         self._soaked = None if last is None else last.asked
         self._interrupted = self._soaked is not None
@@ -170,8 +167,8 @@ class Session:
         if self.setup.reference is not None:
             require_steady(self.setup.reference, samples)
             actual = set_by(self.setup.reference, actual, samples)
-            if self.accepted and actual.tilt == self.accepted[-1].position.tilt is not None:
-                before = self.accepted[-1].position.name
+            if self.recorded.accepted and actual.tilt == self.recorded.accepted[-1].position.tilt is not None:
+                before = self.recorded.accepted[-1].position.name
                 raise Unsettled(f"the reference reads to the last digit what it read in {before}: is it still read?")
         result = self._result(position, actual, samples, len(without), answer.temperature)
         self.talk.expectations.require(result)
@@ -195,12 +192,12 @@ class Session:
     def ask_for(self, position: Position) -> OperatorAnswer:
         """Ask for a position."""
         self.talk.expectations = Expectations(
-            self.setup, self.sensors.sensors, self.accepted, self.judged, self.recorded.choosable, self._alike
+            self.setup, self.sensors.sensors, self.recorded.accepted, self.judged, self.recorded.choosable, self._alike
         )
         if position.temperature != self._soaked:
             self._soaked = None
         self._hold(position)
-        names = [result.position.name for result in self.accepted]
+        names = [result.position.name for result in self.recorded.accepted]
         if position.name != self._asked[0]:
             self._asked = (position.name, self.recorder.now_ns())
         self.talk.tell(messages.Progress(position.name, names, self._left()))
@@ -218,7 +215,7 @@ class Session:
 
     def _left(self) -> str:
         """Return in words how long the rest takes, by the positions of this run; before the first what it must."""
-        done = len(self.accepted)
+        done = len(self.recorded.accepted)
         still = self._least(done) + (median(self._moves) if self._moves else 0.0) * (
             len(self.setup.steps.positions) - done
         )
@@ -236,7 +233,7 @@ class Session:
         values = result.values()
         self.recorder.record(POSITION, {"position": result.position.name, **samples, "sensors": values})
         self.recorder.secure()
-        done = len(self.accepted)
+        done = len(self.recorded.accepted)
         took = (self.recorder.now_ns() - self._asked[1]) / 1e9
         self._moves.append(max(0.0, took - self._least(done) + self._least(done + 1)))
         self.recorded.accept(result)
@@ -319,6 +316,6 @@ class Session:
         require_no_turns(samples, models)
         result = result_of(
             sensors, actual, asked, samples, self.setup.stamp_after(self.recorder.now_ns()), typed=typed,
-            left_out=left_out, takes=self.recorded.takes(asked.name), steps=self.recorded.steps,
+            left_out=left_out, takes=self.recorded.takes(asked.name), steps=self.recorded.reading_steps,
         )  # fmt: skip
-        return result.with_steps(self.recorded.steps)
+        return result.with_steps(self.recorded.reading_steps)

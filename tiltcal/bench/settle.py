@@ -47,13 +47,13 @@ class Window:
     """The time over which readings must stand still, seconds.
 
     While a sensor soaks, its temperature may change by ``temperature_drift``, °C, in it, or in the seconds of
-    ``thermometer``; ``target`` is the temperature that was asked for, None where the thermometer does not count.
+    ``thermometer_seconds``; ``target`` is the temperature asked for, None where the thermometer does not count.
     """
 
     seconds: float
     temperature_drift: float | None = None
     target: float | None = None
-    thermometer: float | None = None
+    thermometer_seconds: float | None = None
 
     @property
     def soaking(self) -> bool:
@@ -63,7 +63,7 @@ class Window:
     @property
     def shortest(self) -> float:
         """Seconds that waiting takes at least."""
-        return max(SOAKS * self.seconds, self.thermometer or 0.0) if self.soaking else self.seconds
+        return max(SOAKS * self.seconds, self.thermometer_seconds or 0.0) if self.soaking else self.seconds
 
     @property
     def patience(self) -> float:
@@ -89,7 +89,7 @@ def wait_until_still(
     Unsettled: they did not come to rest within the window's patience.
     SensorError: one of them failed.
     """
-    models = sensors.models
+    models, longest = sensors.models, max(window.seconds * LONG, window.thermometer_seconds or 0.0)
     rows: list[list[float]] = []
     began: float | None = None
     judged = 0.0
@@ -101,7 +101,7 @@ def wait_until_still(
         if began is None:
             began = judged = now
         rows.append(row_of(sample, models))
-        while len(rows) > FEWEST_SAMPLES and now - rows[1][0] >= max(window.seconds * LONG, window.thermometer or 0.0):
+        while len(rows) > FEWEST_SAMPLES and now - rows[1][0] >= longest:
             del rows[0]
         if now >= judged + window.seconds / JUDGEMENTS:
             judged = now
@@ -129,7 +129,7 @@ def _unsettled(rows: Array, models: Mapping[str, Model], window: Window, *, near
     """Return what changes in the last samples, in words; None where nothing does, empty where it is early to judge."""
     ago = rows[-1, 0] - rows[:, 0]
     # A thermometer with a window of its own is judged there.
-    drift_in_window = window.temperature_drift if window.thermometer is None else None
+    drift_in_window = window.temperature_drift if window.thermometer_seconds is None else None
     still = STEADY if window.soaking else STILL
     why = ""
     if len(rows) >= FEWEST_SAMPLES and ago[0] >= window.seconds and near:
@@ -155,11 +155,11 @@ def _drifting(rows: Array, ago: Array, models: Mapping[str, Model], seconds: flo
 def _warming(rows: Array, ago: Array, models: Mapping[str, Model], window: Window) -> str | None:
     """Return by how much thermometers that are read change over their window, or that it has not passed yet."""
     temperatures = np.cumsum([1 + len(model.channels) for model in models.values()])
-    if window.thermometer is None or np.isnan(rows[-1, temperatures]).all():
+    if window.thermometer_seconds is None or np.isnan(rows[-1, temperatures]).all():
         return None
-    if ago[0] < window.thermometer:
-        return f"the thermometer is read for {ago[0]:.0f} s of {window.thermometer:.0f} s"
-    return movement(rows[ago <= window.thermometer], models, window.temperature_drift, still=SOAKED)
+    if ago[0] < window.thermometer_seconds:
+        return f"the thermometer is read for {ago[0]:.0f} s of {window.thermometer_seconds:.0f} s"
+    return movement(rows[ago <= window.thermometer_seconds], models, window.temperature_drift, still=SOAKED)
 
 
 def movement(

@@ -108,7 +108,7 @@ class Procedure:
         return False
 
     @property
-    def once(self) -> str:
+    def why_not_again(self) -> str:
         """Why no position can be taken again; empty where it can."""
         return ""
 
@@ -289,7 +289,7 @@ class Positions(PositionProcedure):
     takes_reference = True
 
     @property
-    def once(self) -> str:
+    def why_not_again(self) -> str:
         order = "the order of a sweep's temperatures shows hysteresis: no position can be taken again out of it"
         return f"{order}; go back, or quit and begin anew" if self.cross_validated else ""
 
@@ -339,7 +339,7 @@ class Ramp(PositionProcedure):
     continuous = True
 
     @property
-    def once(self) -> str:
+    def why_not_again(self) -> str:
         return "a ramp is one continuous record: no leg can be taken again; quit, and begin anew"
 
     @property

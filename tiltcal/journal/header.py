@@ -24,7 +24,7 @@ from tiltcal.files.document import document_of
 from tiltcal.files.machine import Machine
 from tiltcal.files.moments import moment, moment_after, stamp
 from tiltcal.files.procedure import Procedure, Rotation, procedure_in
-from tiltcal.files.record import AboveZero, FromOne, FromZero, Number, Record, Text, about, one_of, plain
+from tiltcal.files.record import AboveZero, FromOne, FromZero, Number, Record, Text, about, one_of
 from tiltcal.files.results import Reference, Standard
 from tiltcal.journal.lines import Journal
 from tiltcal.units import CONVENTIONS
@@ -161,10 +161,6 @@ class Setup(Record, kw_only=True, dict=True):
     def stage_channels(self) -> StageChannels:
         """Return which readings of the sensors are the channels of a turning stage, as :func:`stage_channels`."""
         return stage_channels(self.steps.in_turns(), [(device.serial, device.wired) for device in self.sensors])
-
-    def header(self) -> dict[str, Any]:
-        """Return the header of the session's journal as plain data."""
-        return plain(self)  # type: ignore[no-any-return]
 
     def resume_command(self, journal: Path) -> str:
         """Return the command that continues the session; a journal does not name the calibration that is verified."""

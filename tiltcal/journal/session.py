@@ -36,7 +36,7 @@ class RecordedSession(TakenPositions):
     """What a journal holds of its session, in one reading of it.
 
     ``leg`` are the samples of a ramp since the last position, ``turned`` is the end of a rotation. ``spans`` are what
-    the readings span, ``steps`` what they have shown of the steps that no model states. ``look`` gets each sample.
+    the readings span, ``reading_steps`` the steps that they show where no model states one. ``look`` gets each sample.
 
     JournalError: a driver sends another request than the recorded one, or a position does not give its means.
     """
@@ -56,7 +56,7 @@ class RecordedSession(TakenPositions):
         self._rows = array("d")
         self._breaks = 0
         self._ramp: list[Sample] = []
-        self.steps = {serial: ReadingStep() for serial in self.sensors}
+        self.reading_steps = {serial: ReadingStep() for serial in self.sensors}
         # Of a position no more samples than twice those wanted are ever taken.
         self._samples: deque[Sample] = deque(maxlen=2 * setup.settings.samples + 2)
         self._answer: OperatorAnswer | None = None
@@ -154,7 +154,7 @@ class RecordedSession(TakenPositions):
             typed=typed,
             left_out=noted.left_out,
             takes=self.takes(asked.name),
-            steps=None if self._ramps else self.steps,
+            steps=None if self._ramps else self.reading_steps,
         )
         self._require_same_means(result, values, event)
         self.accept(result)
@@ -177,7 +177,7 @@ class RecordedSession(TakenPositions):
         """Return the accepted positions in the procedure's order, with the steps that all readings have shown."""
         names = [position.name for position in self.setup.steps.positions]
         ordered = sorted(self.accepted, key=lambda result: names.index(result.position.name))
-        return [result.with_steps(self.steps) for result in ordered]
+        return [result.with_steps(self.reading_steps) for result in ordered]
 
     def rotation_rows(self) -> Array:
         """Return the samples of a turning stage: seconds, angle in degrees, readings; shape (n, 2 + channels).

@@ -45,21 +45,21 @@ class TakenPositions:
     def choosable(self) -> list[Position]:
         """The open positions that may be taken next: those of the first one's temperature, heading and stage."""
         alike = [(one.temperature, one.heading or 0.0, one.stage) for one in self.open]
-        fixed = bool(self.setup.steps.once)
+        fixed = bool(self.setup.steps.why_not_again)
         return self.open[:1] if fixed else [p for p, one in zip(self.open, alike, strict=True) if one == alike[0]]
 
     def require_possible(self, answer: OperatorAnswer, asked: str) -> None:
         """Refuse, with an InputError, to go back, to take a position again or to choose one where that cannot be."""
         steps, names = self.setup.steps, [result.position.name for result in self.accepted]
         if answer.answer in ("again", "back") and self._ramps:
-            raise InputError(steps.once)
+            raise InputError(steps.why_not_again)
         if answer.answer == "back" and not names:
             raise InputError(FIRST)
         chosen = answer.position
         if not chosen or chosen == asked or chosen in [one.name for one in self.choosable]:
             return
-        if answer.answer == "again" and steps.once:
-            raise InputError(steps.once)
+        if answer.answer == "again" and steps.why_not_again:
+            raise InputError(steps.why_not_again)
         if answer.answer == "again" and chosen in names:
             return
         if chosen in [one.name for one in self.open]:
