@@ -383,19 +383,10 @@ def _procedure_of(file: ProcedureFile, document: Document, given: float | None) 
         raise document.error(why, "determines")
     if file.ramp is not None and (asked.axes or not asked.drift or asked.gain):
         raise document.error("a ramp determines the drift of the offset alone: axes: [], drift: 3", "determines")
-    stated: dict[str, Any] = {
-        "name": file.name,
-        "title": file.title,
-        "source": file.source,
-        "record": file_data("procedure", file, whole=True),
-        "positions": _positions_of(file, document, angle),
-        "angle": angle,
-        "samples": file.samples,
-        "settle": file.settle,
-        "soak": file.soak,
-        "reference": file.reference,
-        "alignment": file.alignment,
-    }
+    same = ("name", "title", "source", "samples", "settle", "soak", "reference", "alignment")
+    stated: dict[str, Any] = {key: getattr(file, key) for key in same}
+    stated |= {"angle": angle, "positions": _positions_of(file, document, angle)}
+    stated["record"] = file_data("procedure", file, whole=True)
     if asked.level:
         return LevelCompletion(**stated)
     if asked.mounting:
@@ -405,15 +396,8 @@ def _procedure_of(file: ProcedureFile, document: Document, given: float | None) 
     if file.ramp is not None:
         ramp = {name: getattr(file.ramp, name) for name in RampSection.__struct_fields__}
         return Ramp(**stated, drift=asked.drift, **ramp)
-    return Positions(
-        **stated,
-        axes=tuple(sorted(asked.axes)),
-        drift=asked.drift,
-        gain=asked.gain,
-        nonlinearity=asked.nonlinearity,
-        cross_validated=asked.cross_validated,
-        compares=file.compares,
-    )
+    orders = {key: getattr(asked, key) for key in ("drift", "gain", "nonlinearity", "cross_validated")}
+    return Positions(**stated, **orders, axes=tuple(sorted(asked.axes)), compares=file.compares)
 
 
 def _positions_of(file: ProcedureFile, document: Document, angle: float | None) -> tuple[Position, ...]:

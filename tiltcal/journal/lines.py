@@ -319,30 +319,35 @@ class OperatorAnswer(Record, kw_only=True):
     temperature: Number | None = None
 
 
+class AcceptedSensor(Struct):
+    """What a sensor gave in an accepted position: the means of its channels, the samples that count, and the others."""
+
+    mean: Mapping[str, Number] = {}
+    n: Count = 0
+    left_out: Count = 0
+
+    @property
+    def taken(self) -> int:
+        """All samples that were taken."""
+        return self.n + self.left_out
+
+
 class AcceptedPosition(Struct):
     """An accepted position: the lines of its samples, none of a rotation, and which of them were left out, from 0.
 
-    ``sensors`` are mean, std, n and temperature of each, by serial number.
+    ``sensors`` are by serial number.
     """
 
     position: str
-    sensors: Mapping[str, Mapping[str, Any]] = {}
+    sensors: Mapping[str, AcceptedSensor] = {}
     lines: tuple[Count, Count] | None = None
     without: tuple[Count, ...] = ()
     ended: str = ""
 
     @property
-    def n(self) -> int:
-        """The samples that count."""
-        return self._count("n")
-
-    @property
-    def left_out(self) -> int:
-        """The samples that were far off."""
-        return self._count("left_out")
-
-    def _count(self, key: str) -> int:
-        return next((int(one.get(key, 0)) for one in self.sensors.values()), 0)
+    def first(self) -> AcceptedSensor:
+        """That of the first sensor; all have as many samples."""
+        return next(iter(self.sensors.values()), AcceptedSensor())
 
 
 Bytes = Annotated[str, Meta(pattern="^([0-9a-f]{2})*$")]  # in hexadecimal

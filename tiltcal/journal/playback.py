@@ -134,7 +134,7 @@ class Playback:
             most = sys.maxsize
         elif question == "review":
             coming = self._journal.coming
-            most = (self.setup.settings.samples if coming is None else coming.n + coming.left_out) - self._since
+            most = (self.setup.settings.samples if coming is None else coming.first.taken) - self._since
         while most > 0 and (sample := self._sample()) is not None:
             most, self._since = most - 1, self._since + 1
             yield sample

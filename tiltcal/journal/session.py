@@ -7,10 +7,10 @@ from __future__ import annotations
 
 from array import array
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 from math import nan
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -28,7 +28,6 @@ from tiltcal.journal.taken_positions import TakenPositions
 if TYPE_CHECKING:
     from tiltcal.core.ramp.record import RampRecord
 
-BySerial = Mapping[str, Mapping[str, Any]]
 DIGITS = 1e-9  # part of its size by which a mean may differ from the one that was accepted
 
 
@@ -139,7 +138,7 @@ class RecordedSession(TakenPositions):
             self.leg = []
             self._ramp += samples
         else:
-            samples = list(self._samples)[-noted.n - noted.left_out :]
+            samples = list(self._samples)[-noted.first.taken :]
             samples = [sample for number, sample in enumerate(samples) if number not in noted.without]
         if not samples or any(serial not in sample for sample in samples for serial in values):
             raise self._error(f"accepts {noted.position!r}, and does not hold its samples", event)
@@ -152,21 +151,19 @@ class RecordedSession(TakenPositions):
             samples,
             self.setup.stamp_after(samples[-1].now_ns),
             typed=typed,
-            left_out=noted.left_out,
+            left_out=noted.first.left_out,
             takes=self.takes(asked.name),
             steps=None if self._ramps else self.reading_steps,
         )
-        self._require_same_means(result, values, event)
+        self._require_same_means(result, noted, event)
         self.accept(result)
         self._sampling = False  # what is read until the next answer is for the operator's eyes
 
-    def _require_same_means(
-        self, result: PositionResult, values: Mapping[str, Mapping[str, Any]], event: Event
-    ) -> None:
+    def _require_same_means(self, result: PositionResult, noted: AcceptedPosition, event: Event) -> None:
         for serial, measurement in result.measurements.items():
-            for channel, mean in values[serial].get("mean", {}).items():
-                decoded = measurement.summaries[channel].mean
-                if abs(decoded - mean) > DIGITS * max(abs(decoded), abs(mean)):
+            for channel, mean in noted.sensors[serial].mean.items():
+                decoded = measurement.summaries[channel].mean if channel in measurement.summaries else nan
+                if not abs(decoded - mean) <= DIGITS * max(abs(decoded), abs(mean)):
                     raise self._error(
                         f"accepts {result.position.name!r} with {mean:.9g} as {channel} of {serial}, and its samples "
                         f"give {decoded:.9g}: another version of tiltcal recorded it",

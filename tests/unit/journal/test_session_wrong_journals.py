@@ -113,8 +113,11 @@ def test_a_mean_that_the_recorded_bytes_do_not_give_is_refused(tmp_path: Path) -
     lines = lines_of("plane")
     number = next(number for number, line in enumerate(lines) if number and line[1] == "p")
     (serial, values), *_ = lines[number][2]["sensors"].items()
-    other = {**values, "mean": {**values["mean"], "x": values["mean"]["x"] * (1 + 1e-7)}}
-    wrong = [0, "p", {**lines[number][2], "sensors": {serial: other}}]
-    path = written(tmp_path / "plane.journal.jsonl", [*lines[:number], wrong, *lines[number + 1 :]])
-    with pytest.raises(JournalError, match=rf"jsonl:{number + 1}: accepts .* as x of {serial}, and its samples give"):
-        replay(path)
+    for channel, mean in (("x", values["mean"]["x"] * (1 + 1e-7)), ("u", 1.0)):
+        other = {**values, "mean": {**values["mean"], channel: mean}}
+        wrong = [0, "p", {**lines[number][2], "sensors": {serial: other}}]
+        path = written(tmp_path / "plane.journal.jsonl", [*lines[:number], wrong, *lines[number + 1 :]])
+        with pytest.raises(
+            JournalError, match=rf"jsonl:{number + 1}: accepts .* as {channel} of {serial}, and its sam"
+        ):
+            replay(path)
