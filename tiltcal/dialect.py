@@ -38,7 +38,7 @@ MOMENT = re.compile(
 )
 _FRONT = re.compile(rf"\s*(?:\[((?:\d{{4}}-\d\d-\d\d[T ])?{_CLOCK})\]|({_CLOCK})(?= (?:->|>)))\s*(?:->|>)?[ \t]*")
 """What monitors of serial lines print before a line: ``12:03:11.123 -> `` or ``[12:03:11.123] ``."""
-LABEL = re.compile(r"(?<![\w.])([A-Za-z_][\w./ ]*?)['\"]?[ \t]*[:=]")
+LABEL = re.compile(r"(?<![\w.])([A-Za-z_][\w./ ]{0,60}?)['\"]?[ \t]*[:=]")
 BEHIND = re.compile(r"[ \t]*[(\[]?([^\s,;|()\[\]]+)")  # a number: its unit
 _SENTENCE = re.compile(r"\$(.*)\*([0-9A-Fa-f]{2})\s*")
 _GAPS, _MARGINS = re.compile(rb"[ \t]+"), re.compile(rb"^[ \t]+|[ \t]+(?=\r?$)", re.MULTILINE)

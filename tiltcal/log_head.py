@@ -200,8 +200,8 @@ def _table_of(lines: Sequence[str], later: Sequence[int], comments: tuple[str, .
     score, fields = best.count(plain)
     if score <= 0:  # no line has a number: the first one that is no comment names the columns of what follows
         return _without_rows(lines, comments)
-    filled = [best.kinds[row] for row in plain if len(best.kinds[row]) == fields]
-    columns = [Counter(kinds[k] for kinds in filled if {*kinds} & {"number", "time"}) for k in range(fields)]
+    there = (kinds for row in plain if len(kinds := best.kinds[row]) == fields and {*kinds} & {"number", "time"})
+    columns = [Counter(column) for column in zip(*there, strict=True)] or [Counter[str]()] * fields
     usual = [next((kind for kind, _ in column.most_common() if kind != "missing"), "missing") for column in columns]
 
     def is_row(row: int) -> bool:

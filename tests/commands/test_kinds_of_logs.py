@@ -3,6 +3,7 @@
 import json
 import re
 from pathlib import Path
+from time import process_time
 
 import numpy as np
 import polars as pl
@@ -13,6 +14,7 @@ from support.kinds_of_logs import KINDS, OFFSET, READINGS, UNNAMED, write_kind
 
 import tiltcal as library
 from tiltcal.errors import InputError
+from tiltcal.log_head import dialect_of
 from tiltcal.logs.formats import open_log
 from tiltcal.logs.log import LogClock
 
@@ -163,3 +165,11 @@ def test_dates_that_leave_their_order_open_are_named(tmp_path: Path) -> None:
     refused = tiltcal("noise", "log.csv", "--unit", "g", cwd=tmp_path)
     assert refused.returncode == 2
     assert "log.csv:2: column 'time' holds '01/03/2026 09:00:00', and nothing shows whether the day" in refused.stderr
+
+
+@pytest.mark.parametrize("lines", [[",".join(["1.5"] * 4000)] * 4, [" ".join(["ab"] * 650 + ["1"])] * 20])
+def test_the_time_of_a_head_is_in_proportion_to_its_length(lines: list[str]) -> None:
+    """Each took 2 s and more where it grew with the square."""
+    began = process_time()
+    assert len(dialect_of(lines).names) in (4000, 651)
+    assert process_time() - began < 1.5
