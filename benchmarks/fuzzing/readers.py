@@ -130,7 +130,7 @@ def head(draw: Random) -> None:
     began = process_time()
     with open_log("log.txt", skip_bad_rows=True) as log:
         found = list(log.rows(range(len(log.names))))
-        if log.encoding == "UTF-8":
+        if log.text.encoding == "UTF-8":
             lines = Path("log.txt").read_bytes().decode(errors="replace").removeprefix("\ufeff").split("\n")
             dialect, cells = log.dialect, []
             for line in lines[log.dialect.first :]:
