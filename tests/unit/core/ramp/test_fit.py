@@ -92,6 +92,8 @@ def test_hysteresis_without_time_is_no_lag_and_its_loop_is_in_the_uncertainty():
     fit = fitted(seconds, temperature, read(element) + 0.5 * np.random.default_rng(4).normal(size=(2400, 2)))
     assert not fit.uses_lag
     require_both_ways_held(fit, (read(PLACES + 1.0) - read(PLACES - 1.0)).T / 2.0)
+    way_up_less_down = read(PLACES - 1.0) - read(PLACES + 1.0)
+    assert fit.loops.mean(axis=0) == pytest.approx(way_up_less_down.mean(axis=0), abs=0.15)
 
 
 @pytest.mark.parametrize(("lag", "wander"), [(0.0, 0.0), (120.0, 0.0), (0.0, 0.05)], ids=["none", "lag", "wander"])
