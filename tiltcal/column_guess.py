@@ -52,14 +52,13 @@ def guess(lines: Sequence[str]) -> Guess:
         found = dialect_of(lines)
     except ValueError:
         return Guess((), "", 0.0, "", "")
-    cells = [split(found.fields_of(line), found.separator) for line in lines[found.first :] if not found.no_row(line)]
+    some = [line for line in lines[found.first :] if not found.no_row(line)]
+    cells = [split(found.fields_of(line), found.separator) for line in some]
     rows = [row for row in cells if len(row) == len(found.names) and "number" in map(kind_of, row)]
     if not rows:
         return Guess((), "", 0.0, "", "")
-    place = next(k for k, line in enumerate(lines) if k >= found.first and not found.no_row(line))
-    example = lines[max(place, len(lines) - 1) if not found.no_row(lines[-1]) else place].strip()
     columns = [[float(row[k]) for row in rows if kind_of(row[k]) == "number"] for k in range(len(found.names))]
-    return guess_of_columns(found, columns)._replace(example=example)
+    return guess_of_columns(found, columns)._replace(example=some[-1].strip())
 
 
 def guess_of_columns(found: Dialect, columns: Sequence[Sequence[float]]) -> Guess:

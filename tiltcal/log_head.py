@@ -30,6 +30,7 @@ from tiltcal.dialect import (
     without_clock,
     without_sum,
 )
+from tiltcal.printable import distinct
 from tiltcal.units import is_unit
 
 HEAD_LINES = 200  # lines in which the table must begin
@@ -146,7 +147,7 @@ def _pattern_of(lines: Sequence[str], later: Sequence[int]) -> Dialect | None:
     others = tuple(
         patterns[shape] for shape in patterns if shape != best and (len(shapes[shape]) > 1 or len(later) < 9)
     )
-    listed = _distinct([name or str(place) for place, name in enumerate(names, 1)])
+    listed = tuple(distinct((name or str(place) for place, name in enumerate(names, 1)), "{} {}"))
     behind = [found[1] if (found := BEHIND.match(text)) and is_unit(found[1]) else "" for text in pattern.texts[1:]]
     if behind and not any(behind[:-1]):  # one unit behind all of them
         behind = behind[-1:] * len(behind)
@@ -180,16 +181,6 @@ def _common(lines: Sequence[str], rows: Sequence[int]) -> Pattern:
 
 def _names_of(pattern: Pattern) -> list[str]:
     return [*pattern.keys] or labels_of(pattern.texts)
-
-
-def _distinct(names: Sequence[str]) -> tuple[str, ...]:
-    """Return names, numbered from the second of a kind on."""
-    seen: Counter[str] = Counter()
-    listed = []
-    for name in names:
-        seen[name] += 1
-        listed.append(name if seen[name] == 1 else f"{name} {seen[name]}")
-    return tuple(listed)
 
 
 def _table_of(lines: Sequence[str], later: Sequence[int], comments: tuple[str, ...]) -> Dialect:

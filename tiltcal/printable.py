@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections import Counter
+from collections.abc import Iterable, Iterator
 from html import escape
 from math import ceil
 
@@ -28,6 +29,14 @@ def in_html(result: object) -> str:
 def counted(count: int, noun: str) -> str:
     """Return a count with its noun: ``1 row``, ``2 rows``."""
     return f"{count} {noun}{'s' * (count != 1)}"
+
+
+def distinct(names: Iterable[str], form: str) -> Iterator[str]:
+    """Return names, by a form with its number from the second of a kind on."""
+    seen: Counter[str] = Counter()
+    for name in names:
+        seen[name] += 1
+        yield name if seen[name] == 1 else form.format(name, seen[name])
 
 
 def did_you_mean(word: str, words: Iterable[str]) -> str:

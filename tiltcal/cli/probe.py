@@ -66,11 +66,9 @@ def command(device: str | None, sensor: str | None, address: str | None, self_te
             options.json_text({"model": model.name, "address": address, "answers": said, "self_test": results})
         )
     else:
-        options.print_judged(f"{model.name} answers at {address}")
-        for name, value in said.items():
-            options.print_judged(f"  {name:<12} {value}")
-        for channel, test in tests.items():
-            options.print_judged(f"  self-test {channel}  {'passed' if test.passed else 'FAILED'}: {test}")
+        lines = [f"{model.name} answers at {address}", *(f"  {name:<12} {value}" for name, value in said.items())]
+        lines += [f"  self-test {one}  {'passed' if test.passed else 'FAILED'}: {test}" for one, test in tests.items()]
+        options.print_judged("\n".join(lines))
     return 0 if passed else NEGATIVE_VERDICT
 
 
@@ -96,28 +94,31 @@ def _listen(address: Address, as_json: bool) -> int:
             f"{address} sends text without numbers, such as {shown(lines[-1])}: is the baud rate right (baudrate=), "
             "and does the sketch print its readings?"
         )
-    columns, known = ",".join(found.roles), bool({*found.roles} & {*AXES})
+    columns, known, count = ",".join(found.roles), bool({*found.roles} & {*AXES}), len(found.roles)
     scale = {"unit": found.unit} if found.unit else {}
     scale |= {"sensitivity": f"{found.per_g:g}"} if found.per_g else {}
-    options_of = {**address.options, **({"columns": columns} if known else {}), **scale}
     place = address.written.partition("?")[0]
-    advised = f"{place}?{'&'.join(f'{name}={value}' for name, value in options_of.items())}"
+
+    def advised(**stated: str) -> str:
+        return f"{place}?{'&'.join(f'{name}={value}' for name, value in {**address.options, **stated}.items())}"
+
     if as_json:
-        said = {"numbers": len(found.roles), "columns": columns, "unit": found.unit, "example": found.example}
-        said |= {"lines_per_second": round(rate, 1), "address": advised}
+        said = {"numbers": count, "columns": columns, "unit": found.unit, "example": found.example}
+        said |= {"lines_per_second": round(rate, 1)}
+        said |= {"address": advised(columns=columns, **scale) if known else advised(**scale)}
         options.print_judged(options.json_text(said))
         return 0
-    options.print_judged(f"{place} prints {counted(len(found.roles), 'number')} a line, {rate:.0f} lines a second:")
-    options.print_judged(f"  {found.example}")
-    if not known:
-        options.print_judged("which of them are the accelerations does not show (- skips one): name them, such as")
-        advised = f"{place}?columns={','.join(['x', 'y', 'z', '-', '-', '-', '-'][: len(found.roles)])}&unit=m/s2"
-    else:
+    if known:
         unknown = ", and unit= is not known: add it and what 1 g is, such as &unit=count&sensitivity=16384"
         shown_by = " (at rest they are as long as gravity)" if found.by == "length" or not found.unit else ""
         unit = f", unit={found.unit}{shown_by}" if found.unit else unknown
-        options.print_judged(f"as columns={columns}{unit}. If that is right:")
+        what, how = f"as columns={columns}{unit}. If that is right:", advised(columns=columns, **scale)
+    else:
+        what = "which of them are the accelerations does not show (- skips one): name them, such as"
+        how = advised(columns=",".join((*AXES, *"-" * count)[:count]), unit="m/s2")
     procedure = "six-face" if "z" in found.roles else "PROCEDURE"
-    measure = f'tiltcal measure {procedure} --sensor serial-columns --address "{advised}" --serial IMU1 -o IMU1.yaml'
-    options.print_judged(f"  {measure}")
+    options.print_judged(
+        f"{place} prints {counted(count, 'number')} a line, {rate:.0f} lines a second:\n  {found.example}\n{what}\n"
+        f'  tiltcal measure {procedure} --sensor serial-columns --address "{how}" --serial IMU1 -o IMU1.yaml'
+    )
     return 0

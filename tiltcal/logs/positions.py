@@ -26,12 +26,14 @@ from tiltcal.files.procedure import PositionProcedure
 from tiltcal.files.tables import Segment, TabledPosition
 from tiltcal.logs.columns import RecordedColumns
 from tiltcal.logs.numbers_and_times import clock_breaks
+from tiltcal.printable import distinct
 
 FEWEST_ROWS = 2  # samples that a segment needs for a standard deviation
 UP = (0.0, 0.0, 1.0)  # stands for a direction that nothing has said yet
 MOST_FAULTS = 2  # holds in which one channel may be at its rail or stand still before the sensor is not credible
 STEP_BLOCKS, STEP = 8, 4.0  # blocks of a hold; a jump between them exceeds their wandering so many times
 
+AGAIN = "{} ({})"  # how a position is called that is taken again
 SOAKS = 3  # soaks up to the end of a segment over which the temperature is judged
 FEWEST_FOR_A_RISE, CERTAIN = 4, 3.0
 """The least number of samples that can show a rise, and the standard deviations by which it exceeds their scatter."""
@@ -70,7 +72,7 @@ def intervals_of(
     """
     step = resolution(record.of(channels))
     groups = [list(parts) for _, parts in groupby(segments, key=lambda segment: (segment.name, segment.gravity))]
-    names = _distinct([parts[0].name for parts in groups])
+    names = list(distinct((parts[0].name for parts in groups), AGAIN))
     ends = [0, *(parts[-1].end for parts in groups)]
     restarts = [0, *(clock_breaks(record.by_role[TIME])[0].tolist() if TIME in record.by_role else ())]
     intervals = []
@@ -120,7 +122,7 @@ def trimmed(
     """
     step = resolution(record.of(channels))
     groups = [list(parts) for _, parts in groupby(segments, key=lambda segment: segment.name)]
-    names = _distinct([parts[0].name for parts in groups])
+    names = list(distinct((parts[0].name for parts in groups), AGAIN))
     holds = [np.concatenate([np.arange(part.start, part.end) for part in parts]) for parts in groups]
     noise = {}
     for channel in channels:
@@ -210,7 +212,7 @@ def intervals_of_table(positions: Sequence[TabledPosition]) -> list[StaticInterv
     """Return what a table of positions states of each."""
     step = 10.0 ** -max(_digits(mean) for position in positions for mean in position.mean.values())
     intervals = []
-    for position, name in zip(positions, _distinct([position.name for position in positions]), strict=True):
+    for position, name in zip(positions, distinct((position.name for position in positions), AGAIN), strict=True):
         where = {} if position.line is None else {"line": position.line}
         measured = Measurement(name, UP, None, position.temperature, _tabled(position, step), where)
         intervals.append(StaticInterval(measured, position))
@@ -432,13 +434,3 @@ def _digits(number: float) -> int:
     """Return how many digits a number has behind the point."""
     exponent = Decimal(repr(float(number))).normalize().as_tuple().exponent
     return max(0, -exponent) if isinstance(exponent, int) else 0
-
-
-def _distinct(names: Sequence[str]) -> list[str]:
-    """Return the names, numbered from the second of a kind on."""
-    seen: Counter[str] = Counter()
-    distinct = []
-    for name in names:
-        seen[name] += 1
-        distinct.append(name if seen[name] == 1 else f"{name} ({seen[name]})")
-    return distinct

@@ -70,6 +70,10 @@ def test_a_port_alone_is_listened_to_and_the_advice_works() -> None:
         swapped = tiltcal("probe", "--sensor", "serial-columns", "--address", advised.replace("x,y,z", "y,x,z"))
         assert "the label 'X' of " in swapped.stderr
         assert "contradicts columns=y,x,z" in swapped.stderr
+    nine = b",".join(b"%d.25" % (7 * k) for k in range(9)) + b"\r\n"
+    with printing(lines_of(nine, nine.replace(b"25", b"75")), 50.0, waits=False) as port:
+        advised = tiltcal("probe", "--address", f"{port}?timeout=3").stdout.splitlines()[-1].split('"')[1]
+        assert advised == f"{port}?timeout=3&columns=x,y,z,-,-,-,-,-,-&unit=m/s2"
     with printing(lines_of(b"hello\r\n"), 50.0, waits=False) as port:
         assert "text without numbers" in tiltcal("probe", "--address", port).stderr
     with printing(lines_of(b"$PTCDC,17,40960,38912,80000,80000,23.9*4C\r\n"), 50.0, waits=False) as port:
