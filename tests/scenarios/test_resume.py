@@ -61,7 +61,6 @@ SESSIONS = {
     # Set up in another range than after a reset, and again after the break.
     "scl3300": ("cross-axis", "scl3300", "sim:range=2.4g&seed=3", *QUICK),
     "adxl355": ("cross-axis", "adxl355", "sim:range=4g&seed=3", *QUICK),
-    "iis2iclx": ("cross-axis", "iis2iclx", "sim:range=3g&seed=3", *QUICK),
     "ramp": ("ramp.yaml", "sca100t-d02", "sim:?twin=twin.yaml", "--jig", "0"),
     "rotation": ("rotation", "gradiometer", "sim:?seed=3", "--turns", "3"),
 }
