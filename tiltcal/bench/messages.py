@@ -176,11 +176,8 @@ class Heard(SessionEvent):
 
 
 class ShownSensor(Struct, frozen=True):
-    """A sensor as its operator sees it: how it sits, and what its readings are."""
+    """What the readings of a sensor are, for its operator."""
 
-    model: str
-    axes: tuple[str, ...]
-    channels: tuple[str, ...]
     unit: str
     offset: float
     sensitivity: float

@@ -102,6 +102,7 @@ class Session:
         self.talk = Conversation(operator, self.recorder, self.recorded)
         self.talk.sensors = self.sensors
         self.sensors.give_up(self.recorded.lost)
+        seen = [*self.sensors.sensors, *filter(None, (setup.reference,))]
         self.talk.tell(
             messages.Begin(
                 title=setup.steps.title,
@@ -112,18 +113,8 @@ class Session:
                 headings=any(position.heading for position in setup.steps.positions),
                 accepted=[result.position.name for result in self.recorded.accepted],
                 sensors={
-                    sensor.serial: messages.ShownSensor(
-                        model.name,
-                        sensor.orientation.names,
-                        model.channels,
-                        model.unit,
-                        model.offset,
-                        model.sensitivity,
-                    )
-                    for sensor, model in (
-                        *zip(self.sensors.sensors, self.sensors.models.values(), strict=True),
-                        *([] if setup.reference is None else [(setup.reference, setup.reference.wired)]),
-                    )
+                    one.serial: messages.ShownSensor(one.wired.unit, one.wired.offset, one.wired.sensitivity)
+                    for one in seen
                 },
             )
         )

@@ -30,7 +30,7 @@ def test_a_stream_without_a_descriptor_is_read_as_it_is() -> None:
 def test_the_virtual_jig_numbers_a_position_that_a_resumed_session_only_reports() -> None:
     """It was accepted before the interruption, so it is not asked for again."""
     said: list[str] = []
-    operator, sensors = VirtualJig(said.append), {"S-1": ShownSensor("any", ("x", "y", "z"), ("x",), "count", 0.0, 1.0)}
+    operator, sensors = VirtualJig(said.append), {"S-1": ShownSensor("count", 0.0, 1.0)}
     begin = {"positions": ["first", "level"], "attitudes": {}, "headings": False, "accepted": ["first", "level"]}
     operator.tell(Begin(title="A title", length="2 positions", sensors=sensors, **begin))
     operator.tell(Accepted("level", {"x": 1045.25}, {"x": 0.65}, 20, 24.93))

@@ -29,7 +29,7 @@ from tiltcal.errors import InputError, Stopped
 LEVEL = PositionQuestion(
     position="level", tilt={"x": 0.0, "y": 0.0}, gravity=[0, 0, 1], heading=0, temperature=None, prompt="Lay it level.",
 )  # fmt: skip
-SENSOR = ShownSensor("any", ("x", "y", "z"), ("x", "y"), "count", 1024.0, 819.0)
+SENSOR = ShownSensor("count", 1024.0, 819.0)
 
 
 def test_a_line_with_a_key_is_taken_where_it_waits_and_the_end_is_told_when_a_question_is_asked() -> None:

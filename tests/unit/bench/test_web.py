@@ -45,7 +45,7 @@ class Bench:
         self.channels = channels
         self.state = PageState()
         self.operator = WebOperator(self.state, {}, hands_free=True, clock=lambda: self.time)
-        sensors = {"S-1": ShownSensor("any", ("x", "y", "z"), tuple(channels), "g", 0.0, 1.0)}
+        sensors = {"S-1": ShownSensor("g", 0.0, 1.0)}
         shown: Any = {"positions": list(ATTITUDES), "attitudes": ATTITUDES, "headings": headings, "sensors": sensors}
         self.operator.tell(Begin(title="", accepted=[], free=free, **shown))
         self.accept(accepted)
