@@ -33,12 +33,8 @@ VAGUE = 0.2
 COARSE, JIGS = 3.0, 5.0
 """A calibrated sensor within this, degrees, or within so many jigs if that is more, is in the position meant."""
 
-LENGTH = 0.2
-"""Three axes whose reading differs from 1 g by more than this have no direction yet, g."""
-
-SHARE = 0.25
-"""A side that is off by less than this share of the tolerance is not said to be too high or too low."""
-
+LENGTH = 0.2  # three axes whose reading differs from 1 g by more than this have no direction yet, g
+SHARE = 0.25  # a side that is off by less than this share of the tolerance is not said to be too high or too low
 COLUMNS = ("", "set", "now", "difference", "reading", "noise", "n")  # of a review; a reading has no last two
 UNCALIBRATED = "angles are not calibrated yet"  # what an operator is told beside present angles
 CALIBRATED = "calibrated angles: set the table by its own scale, not by this number"

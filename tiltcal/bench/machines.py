@@ -35,12 +35,8 @@ from tiltcal.files.procedure import Position, Procedure
 ATTEMPTS, REFUSALS = 3, 10
 """Failures of the machines in a row, and refusals of one position that they set, after which a session stops."""
 
-POLL, CHAMBER_POLL = 0.2, 10.0
-"""Seconds between two looks at where a table is, and a chamber."""
-
-TIMEOUT, CHAMBER_TIMEOUT = 120.0, 4 * 3600.0
-"""Seconds to get there where the bench file states none."""
-
+POLL, CHAMBER_POLL = 0.2, 10.0  # seconds between two looks at where a table is, and a chamber
+TIMEOUT, CHAMBER_TIMEOUT = 120.0, 4 * 3600.0  # seconds to get there where the bench file states none
 STILL = 0.25  # a table that has moved by less than this share of its tolerance between two looks is at rest
 DIGITS = 6  # decimals of an angle
 TEMPERATURE = "temperature"

@@ -31,8 +31,7 @@ import msgspec
 from tiltcal.bench.typed import with_numbers
 from tiltcal.errors import Argument, InputError, UsageError
 
-PORT = 8016
-"""The usual port, so that a page that is open goes on after ``--resume``; another one where it is taken."""
+PORT = 8016  # the usual port, so that a page that is open goes on after ``--resume``; another one where it is taken
 
 PAGE = {
     "/": ("index.html", "text/html; charset=utf-8"),
@@ -52,22 +51,12 @@ REPORT_POLICY = "sandbox; default-src 'none'; style-src 'unsafe-inline'; img-src
 
 STRANGE = "not from the page, or not to its address: open the page by IP address, or start with --listen NAME:PORT"
 NO_TOKEN = "open the new address that the terminal shows"
-LONGEST_ANSWER = 4096
-"""Bytes of an answer."""
-
+LONGEST_ANSWER = 4096  # bytes of an answer
 _HOST = re.compile(r"(\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9._-]+)(?::([0-9]{1,5}))?")  # a name or an address, and a port
-
-SILENCE = 2.0
-"""Seconds after which a stream shows that it lives, though nothing has changed."""
-
-PACE = 0.04
-"""Seconds between two states on one stream: a virtual session has a thousand readings in that time."""
-
-LOST = 5.0
-"""Seconds after which a connection is given up that takes nothing, or has not said all of its request."""
-
-WRONG_TOKEN = 0.5
-"""Seconds that the answer to a wrong token takes."""
+SILENCE = 2.0  # seconds after which a stream shows that it lives, though nothing has changed
+PACE = 0.04  # seconds between two states on one stream: a virtual session has a thousand readings in that time
+LOST = 5.0  # seconds after which a connection is given up that takes nothing, or has not said all of its request
+WRONG_TOKEN = 0.5  # seconds that the answer to a wrong token takes
 
 
 class PageState:

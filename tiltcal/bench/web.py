@@ -24,23 +24,15 @@ from tiltcal.errors import Stopped
 if TYPE_CHECKING:
     from tiltcal.bench.session import Session
 
-LIVE_PAUSE = 0.25
-"""Seconds between live readings: a bubble is followed by eye, and a night's journal stays small."""
-
-PATIENCE = 0.5
-"""Seconds of one wait for an answer; Ctrl-C is seen between two on every system."""
-
-STILL_FOR = 1.5
-"""Seconds of readings by which the page calls a sensor still."""
-
-MOVING = 0.3
-"""A change from the first to the second half of these readings above this is a movement, degrees; ours."""
+LIVE_PAUSE = 0.25  # seconds between live readings: a bubble is followed by eye, and a night's journal stays small
+PATIENCE = 0.5  # seconds of one wait for an answer; Ctrl-C is seen between two on every system
+STILL_FOR = 1.5  # seconds of readings by which the page calls a sensor still
+MOVING = 0.3  # a change from the first to the second half of these readings above this is a movement, degrees; ours
 
 MOVED = 5.0
 """Free hands take a position only where its reading is farther than this from that of the position before, degrees."""
 
-PACE = 0.05
-"""Seconds between two readings that the page draws while the session samples."""
+PACE = 0.05  # seconds between two readings that the page draws while the session samples
 
 REACH = 40.0
 """A part of the sphere counts as met where a free position is nearer than this, degrees: twelve even ones meet all."""
@@ -51,11 +43,8 @@ SPHERE = [
 ]
 """Directions that are spread evenly, by the golden angle of 2.4 radians."""
 
-LOGGED = 40
-"""Events that the page lists."""
-
-SOUNDS = ("sampled", "refused", "done")
-"""What the page sounds at."""
+LOGGED = 40  # events that the page lists
+SOUNDS = ("sampled", "refused", "done")  # what the page sounds at
 
 
 def open_web(
