@@ -508,15 +508,6 @@ def procedure_in(document: Document, angle: float | None = None) -> Procedure:
     if len({pair.name for pair in pairs}) < len(pairs):
         raise place.error("the same pair is there twice")
     _chosen_angle(file.name, None, angle)
-    return Rotation(
-        name=file.name,
-        title=file.title,
-        source=file.source,
-        record=file_data("procedure", file, whole=True),
-        phase=turning.phase,
-        pairs=pairs,
-        prompt=turning.prompt,
-        turns=turning.turns,
-        converged=turning.converged,
-        patience=turning.patience,
-    )
+    same = {key: getattr(turning, key) for key in ("phase", "prompt", "turns", "converged", "patience")}
+    record = file_data("procedure", file, whole=True)
+    return Rotation(name=file.name, title=file.title, source=file.source, record=record, pairs=pairs, **same)

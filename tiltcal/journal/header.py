@@ -239,11 +239,7 @@ def stage_channels(rotation: Rotation, devices: Sequence[tuple[str, Model]]) -> 
 
 
 THERMOMETER = "(thermometer)"  # that of the bench, among serial numbers: none has parentheses
-
-
 REFERENCE = "(reference)"  # likewise
-
-
 OF_THE_BENCH = (THERMOMETER, REFERENCE)  # without which no sensor is measured
 
 

@@ -232,12 +232,10 @@ class JournalWriter:
         except OSError as error:
             raise self._failed(error) from error
 
-    def finish(self, dt_ns: int) -> str:
-        """Write the end record and return the SHA-256 of everything before it."""
-        sha256 = self._written.digest.hexdigest()
-        self.append(dt_ns, END, {"events": self._written.events, "sha256": sha256})
+    def finish(self, dt_ns: int) -> None:
+        """Write the end record."""
+        self.append(dt_ns, END, {"events": self._written.events, "sha256": self._written.digest.hexdigest()})
         self.secure()
-        return sha256
 
     def close(self) -> None:
         """Close the file; a second call does nothing."""

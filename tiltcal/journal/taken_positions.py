@@ -10,8 +10,6 @@ from tiltcal.journal.header import Setup
 from tiltcal.journal.lines import OperatorAnswer
 from tiltcal.journal.positions import PositionResult
 
-FIRST = "this is the first position: there is none before it to go back to"
-
 
 class TakenPositions:
     """The positions of a session so far.
@@ -54,7 +52,7 @@ class TakenPositions:
         if answer.answer in ("again", "back") and self._ramps:
             raise InputError(steps.why_not_again)
         if answer.answer == "back" and not names:
-            raise InputError(FIRST)
+            raise InputError("this is the first position: there is none before it to go back to")
         chosen = answer.position
         if not chosen or chosen == asked or chosen in [one.name for one in self.choosable]:
             return
