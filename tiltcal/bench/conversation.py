@@ -33,8 +33,7 @@ class Conversation:
         self._operator, self._recorder, self._recorded = operator, recorder, recorded
         self._answered_ns = self._minutes = 0
         self._chosen = ""
-        self._attempts = ("", 0)
-        """The position of the last failed attempt, and how many failed in a row."""
+        self._attempts = ("", 0)  # the position of the last failed attempt, and how many failed in a row
 
     def ask(self, question: messages.Question) -> OperatorAnswer:
         """Return the answer to a question, which goes to the journal; ask again where it cannot be understood.

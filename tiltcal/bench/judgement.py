@@ -26,8 +26,7 @@ class Judgement:
 
     def __init__(self, session: Session, operator: Operator) -> None:
         self._session, self._operator = session, operator
-        self._takes: dict[str, list[str]] = {}
-        """What each position read in every take that contradicted the others."""
+        self._takes: dict[str, list[str]] = {}  # what each position read in every take that contradicted the others
 
     def require_agreement(self) -> None:
         """Withdraw positions that contradict the others as the fit judges it, so that they are asked for again.

@@ -202,8 +202,7 @@ class Machines:
         self._asked_by_hand = False
         left = [self._left_to_hand(position) for position in steps.positions]
         nothing = self._carrier and not any(one.get(TEMPERATURE) is not None or any(one.values()) for one in left)
-        self._by_hand = left[0] if nothing else None
-        """What was last set by hand."""
+        self._by_hand = left[0] if nothing else None  # what was last set by hand
 
     def probe(self) -> None:
         """Read back where every machine is; a HardwareError where one does not answer."""

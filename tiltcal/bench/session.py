@@ -53,8 +53,7 @@ class Session:
     recorder: Recorder
     writer: JournalWriter
     talk: Conversation
-    _soaked: float | None
-    """The temperature that the sensors have, °C; None on the way."""
+    _soaked: float | None  # the temperature that the sensors have, °C; None on the way
 
     def __init__(
         self, setup: Setup, path: Path, before: RecordedSession | None = None, output: Path | None = None
@@ -71,10 +70,8 @@ class Session:
         self.finished = before is not None and before.journal.ended
         self._virtual = VirtualBench(self.clock, setup.devices)
         self._alike: list[str] = []
-        self._asked = ("", 0)
-        """The position that is asked for, and since when, ns."""
-        self._moves: list[float] = []
-        """How long each position of this run took the person and the move, seconds."""
+        self._asked = ("", 0)  # the position that is asked for, and since when, ns
+        self._moves: list[float] = []  # how long each position of this run took the person and the move, seconds
 
     def probe(self) -> None:
         """Check before the operator starts that every device answers; a journal that has its end needs none.

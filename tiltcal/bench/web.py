@@ -73,19 +73,15 @@ class WebOperator(Operator):
         hands_free: bool = False, clock: Callable[[], float] = time.monotonic,
     ) -> None:  # fmt: skip
         self._state, self._reports, self._hands_free, self._clock = state, reports, hands_free, clock
-        self._asked: messages.Question | None = None
-        """The question that is shown; None where it is to be shown again."""
-        self._target: Vector | None = None
-        """What the last position that was asked for has point up."""
-        self._taken = ""
-        """The position that free hands have taken."""
+        self._asked: messages.Question | None = None  # the question that is shown; None where it is to be shown again
+        self._target: Vector | None = None  # what the last position that was asked for has point up
+        self._taken = ""  # the position that free hands have taken
         self._begin = messages.Begin(title="", positions=[], attitudes={}, headings=False, accepted=[], sensors={})
         self._readings: deque[tuple[float, dict[str, Vector]]] = deque()
         """Times, s, and directions by serial number, as the sensors read them."""
         self._before: dict[str, Vector] = {}
         """Those of the position that was accepted last; none where somebody has to look at the next one."""
-        self._met: dict[str, Vector] = {}
-        """The directions that the first sensor read, by position."""
+        self._met: dict[str, Vector] = {}  # the directions that the first sensor read, by position
         self._guide: dict[str, Any] | None = None
         self._sounds = dict.fromkeys(SOUNDS, 0)
         self._log: list[dict[str, str]] = []

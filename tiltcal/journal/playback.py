@@ -82,11 +82,9 @@ class Playback:
         self._line = 1
         self._event: Event | None = next(self._events, None)
         self._interrupted = False
-        self._since = 0
-        """Samples of the next position."""
+        self._since = 0  # samples of the next position
         self._given_up: set[str] = set()
-        self._lacking: set[str] = set()
-        """The sensors that the last accepted position lacks."""
+        self._lacking: set[str] = set()  # the sensors that the last accepted position lacks
         self._statistics: dict[str, dict[str, int]] = {}
         self._names = [device.serial for device in self.setup.sensors]
         self._names += [*self.setup.beside]
