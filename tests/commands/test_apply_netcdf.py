@@ -37,7 +37,7 @@ def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         coords={"time": ("time", np.arange(rows) * 0.5, {"units": "hours since 2026-05-01"}), "site": 4.0},
         attrs={"history": "2026-05-01 recorded", "title": "night"},
     )
-    log["x"].encoding["coordinates"] = "site"
+    log["x"].encoding["coordinates"], log["y"].encoding["coordinates"] = "site", None
     packed = {"dtype": "i2", "scale_factor": 0.01, "_FillValue": np.int16(-999)}
     log.to_netcdf("log.nc", engine="h5netcdf", unlimited_dims=["time"], encoding={"temperature": packed})
     return tmp_path
