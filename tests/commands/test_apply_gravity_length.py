@@ -84,9 +84,10 @@ def test_the_library_says_the_same_of_a_frame_of_several_blocks() -> None:
 
 def test_the_uncertainty_of_the_length_is_that_of_a_simulation() -> None:
     """Calibrations and readings drawn from the file's own covariance: at the worst attitude 95 % are within."""
-    known = read(FREE)
+    calibration = read(FREE)
+    known = calibration.record
     stated, _ = stated_uncertainty(known)
-    half = length_half_width(known.coefficients, known.limits, stated)
+    half = length_half_width(known.coefficients, calibration.limits, stated)
     inputs = known.uncertain
     noise = [known.uncertainty.single_reading[channel] for channel in known.coefficients.channels]
     draw = np.random.default_rng(5)
