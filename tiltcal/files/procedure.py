@@ -76,26 +76,15 @@ class Procedure:
     record: Mapping[str, Any]
     positions: tuple[Position, ...] = ()
 
-    needs_base: ClassVar[bool] = False
-    """Whether the sensor's own calibration is completed."""
-
-    renews: ClassVar[bool] = False
-    """Whether the offset of the sensor's own calibration is measured anew, and nothing else."""
-
-    free: ClassVar[bool] = False
-    """Whether nobody sets the positions."""
-
-    continuous: ClassVar[bool] = False
-    """Whether all that is read on the way from position to position counts."""
-
-    agrees: ClassVar[bool] = True
-    """Whether positions have to agree before anything is written."""
-
-    one_file: ClassVar[bool] = False
-    """Whether all devices of a session give one calibration file together."""
-
-    takes_reference: ClassVar[bool] = False
-    """Whether a reference on the plate may say the angles."""
+    needs_base: ClassVar[bool] = False  # whether the sensor's own calibration is completed
+    renews: ClassVar[bool] = (
+        False  # whether the offset of the sensor's own calibration is measured anew, and nothing else
+    )
+    free: ClassVar[bool] = False  # whether nobody sets the positions
+    continuous: ClassVar[bool] = False  # whether all that is read on the way from position to position counts
+    agrees: ClassVar[bool] = True  # whether positions have to agree before anything is written
+    one_file: ClassVar[bool] = False  # whether all devices of a session give one calibration file together
+    takes_reference: ClassVar[bool] = False  # whether a reference on the plate may say the angles
 
     @property
     def compares(self) -> bool:
