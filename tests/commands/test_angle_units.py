@@ -13,7 +13,7 @@ from support.command import tiltcal as run
 
 import tiltcal
 from tiltcal.core.attitude import gravity_from_tilt
-from tiltcal.drivers.model import OF_TILT
+from tiltcal.drivers.model import OF_G, OF_TILT
 from tiltcal.files.procedure import Positions, find_procedure
 
 PRINTS = {
@@ -24,7 +24,8 @@ PRINTS = {
 GRID = np.array([gravity_from_tilt({"x": x, "y": y}) for x in (-30, -12, 0, 30) for y in (-30, 0, 21)])
 
 
-def test_the_units_of_a_small_tilt() -> None:
+def test_the_units_of_a_small_tilt_and_of_gravity() -> None:
+    assert [OF_G[unit] for unit in ("g", "mg", "m/s2", "mm/s2")] == [1.0, 1000.0, 9.80665, 9806.65]
     assert {unit: OF_TILT[unit] for unit in PRINTS} == pytest.approx(
         {name: of(degrees(1e-6)) * 1e6 for name, of in PRINTS.items()}
     )
