@@ -100,17 +100,3 @@ def test_what_is_no_calibration_is_called_what_it_is(calibration: Calibration, t
             read(path)
     with pytest.raises(KeyError, match="two indices, channel and axis"):
         calibration.sensitivity["x"]  # type: ignore[index]
-
-
-def test_saved_file_reads_back_equal(calibration: Calibration, tmp_path: Path) -> None:
-    calibration.save(tmp_path / "copy.yaml")
-    again = read(tmp_path / "copy.yaml")
-    assert again == calibration
-    assert again.limits == calibration.limits
-
-
-def test_wrong_file_names_file_line_and_key(tmp_path: Path) -> None:
-    path = tmp_path / "wrong.yaml"
-    path.write_text(FILE.replace("x: 818.2", "x: fast"), encoding="utf-8")
-    with pytest.raises(InputError, match=r"wrong\.yaml:7: calibration\.sensitivity\.x\.x"):
-        read(path)

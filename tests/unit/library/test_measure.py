@@ -11,11 +11,10 @@ import pytest
 from support import FIXTURES
 
 import tiltcal
-from tiltcal import Calibration, PairCalibration, measure, open_sensor
+from tiltcal import Calibration, PairCalibration, measure
 from tiltcal.bench import devices
 from tiltcal.bench.operators import PythonObject
 from tiltcal.cli.main import run
-from tiltcal.drivers.bus.address import Address, parse_address
 from tiltcal.errors import EstimateError, Stopped, UsageError
 from tiltcal.library.replay import replay
 
@@ -122,14 +121,6 @@ def test_an_operator_without_the_method_is_refused_before_anything_is_captured()
     assert list(Path().iterdir()) == []
 
 
-def test_a_sensor_is_read_by_itself() -> None:
-    with open_sensor("sca100t-d02", "sim:?seed=1") as sensor:
-        reading = sensor.read()
-    # Level, 1024 count ± 0.1 g of 819 count/g; room temperature.
-    assert reading.values == pytest.approx((1024, 1024), abs=82)
-    assert reading.temperature == pytest.approx(24.0, abs=5.0)
-
-
 def test_between_the_command_and_the_bus_eight_frames_of_ours_stand_on_the_stack(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -207,18 +198,3 @@ def test_a_base_states_the_sensitivity_of_a_device_of_any_kind() -> None:
         tiltcal.plan("two-temperature", **sensor)  # type: ignore[arg-type]
     base = FIXTURES / "zero-45.yaml"
     assert tiltcal.plan("two-temperature", **sensor, base=base).uncertainty["sensitivity.x.x"] > 0.0  # type: ignore[arg-type]
-
-
-def test_an_address_is_parsed_once_in_a_session(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """From the option to the journal that is read at the end: there were 24 parses."""
-    parsed, parse = list[str](), parse_address
-
-    def counted(text: str) -> Address:
-        parsed.append(text)
-        return parse(text)
-
-    for module in [one for one in sys.modules.values() if vars(one).get("parse_address") is parse]:
-        monkeypatch.setattr(module, "parse_address", counted)
-    where = {"address": "sim:seed=39", "output": tmp_path / "S.yaml"}
-    measure("plane", sensor="sca100t-d02", serial="S", operator="sim", samples=10, **where)  # type: ignore[arg-type]
-    assert parsed == ["sim:seed=39"]
