@@ -402,14 +402,17 @@ def _sources(
         yield base.through(selection(names, base.names), names, source=BASE)
         return
     # An offset follows a sensitivity that stands in: the reading is what it was.
-    stands_in = [
-        prior.u * (column[name] - derivative * offset)
+    followed = {
+        name: column[name] - derivative * offset
         for model, reading, offset in zip(found.models, readings, offsets.T, strict=True)
         for name, derivative in zip(model.coefficients, reading.by_coefficient[0].tolist(), strict=True)
-        if (prior := design.priors.get(name)) is not None and prior.u and name in column
-    ]
+    }
+    known_to = {name: prior.u for name, prior in design.priors.items() if 0.0 < prior.u < inf}
+    stands_in = [known_to[name] * by for name, by in followed.items() if name in known_to]
     if stands_in:
         yield errors(PRIOR, np.stack(stands_in, axis=1), np.eye(len(stands_in)))
+    for _, together in design.stated:
+        yield errors(PRIOR, np.stack([followed[name] for name in together.names], axis=1), together.covariance)
     across = np.array([np.cross(up, reading.by_gravity[0]) for reading in readings])
     for source, u in ((JIG, design.jig), (TABLE, design.table_lean)):
         if u and u < inf:

@@ -122,6 +122,18 @@ def test_a_base_with_a_nonlinearity_has_it_in_the_offset_and_its_uncertainty(rec
     assert found.uncertainty["offset.y"] == pytest.approx(found.uncertainty["sensitivity.y.y"], rel=0.05)
 
 
+def test_a_base_with_a_covariance_has_it_in_the_offset(record, base):
+    """+Y up: the offset of y is off by what the sensitivity of y is off, 2 counts, and so are both together."""
+    base.write_text(
+        f"{BASE}uncertainty:\n  sensitivity: {{x: {{y: 2.0}}, y: {{y: 2.0}}}}\n  covariance:\n"
+        "    parameters: [sensitivity.x.y, sensitivity.y.y]\n    matrix: [[4.0, 2.0], [2.0, 4.0]]\n"
+    )
+    minutes = {name: values[::15] for name, values in record.items()}
+    found = fitted(minutes | {"y": minutes["y"] + 819.0}, base=base, segments=HUNG, thermometer=0.0)
+    assert found.uncertainty["offset.y"] == pytest.approx(2.0, rel=0.02)
+    assert found.uncertainty["offset.x"] == pytest.approx(2.0, rel=0.02)
+
+
 def test_a_ramp_off_level_keeps_the_offset_of_its_base_unless_its_attitude_is_stated(record, base):
     """On a shelf at 25°, by hand: x reads 819 sin 25° more; its gain of 0.02 %/°C changes that by 0.07 count/°C."""
     shelf, minutes = 819.0 * np.sin(np.radians(25.0)), {name: values[::15] for name, values in record.items()}
