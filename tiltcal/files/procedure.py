@@ -77,9 +77,7 @@ class Procedure:
     positions: tuple[Position, ...] = ()
 
     needs_base: ClassVar[bool] = False  # whether the sensor's own calibration is completed
-    renews: ClassVar[bool] = (
-        False  # whether the offset of the sensor's own calibration is measured anew, and nothing else
-    )
+    renews: ClassVar[bool] = False  # whether the offset alone of the sensor's own calibration is measured anew
     free: ClassVar[bool] = False  # whether nobody sets the positions
     continuous: ClassVar[bool] = False  # whether all that is read on the way from position to position counts
     agrees: ClassVar[bool] = True  # whether positions have to agree before anything is written
