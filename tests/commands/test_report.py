@@ -54,7 +54,7 @@ def test_a_page_can_be_read_printed_and_kept(file: Path, text: str, page: Page) 
     assert page.headings[0][1] in page.root.find("title")[0].text
     figures = [one for figure in page.root.find("figure") for one in figure.find("svg")]
     assert bool(figures) != (file == PAIR)
-    if file.stem == "two-temperature":  # dotted at the reference temperature, under the drift of each channel
+    if file.stem == "temperature-sweep":  # dotted at the reference temperature, under the drift of each channel
         assert text.count("stroke-dasharray: 0.6,0.99") == 2
     for figure in figures:
         assert figure.attributes["role"] == "img"
