@@ -12,7 +12,7 @@ from __future__ import annotations
 import json
 import re
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from functools import cached_property, partial
@@ -24,7 +24,7 @@ from tiltcal.dialect import flattened, labels_of, printed, without_clock
 from tiltcal.drivers.bus import Link
 from tiltcal.drivers.bus.address import Address, parse_address
 from tiltcal.drivers.bus.clock import Clock
-from tiltcal.drivers.model import OF_G, OF_TILT, Model, Reading, Sensor, printed_in
+from tiltcal.drivers.model import OF_G, OF_TILT, SLOPES, Model, Reading, Sensor
 from tiltcal.drivers.virtual import HeldPose, StreamingPart, Tolerances, Truth
 from tiltcal.errors import BusError
 from tiltcal.units import CONVENTIONS
@@ -283,12 +283,11 @@ def require_name(address: Address, name: str) -> None:
         address.refuse(f"column {name!r}: did you mean {TEMPERATURE!r}?")
 
 
-def virtual_columns(columns: ColumnLayout, unit: str, truth: Truth, fixture: HeldPose, clock: Clock) -> StreamingPart:
+def virtual_columns(columns: ColumnLayout, truth: Truth, fixture: HeldPose, clock: Clock) -> StreamingPart:
     """Return a device that prints the columns of an address 100 times a second; a skipped column is 0."""
-    truth = replace(truth, angles=unit in OF_TILT)
 
     def line(number: int) -> bytes:
-        numbers = {n: printed_in(truth.sample(n, fixture, clock, number), unit) for n in columns.channels}
+        numbers = {n: truth.sample(n, fixture, clock, number) for n in columns.channels}
         return columns.line({**numbers, TEMPERATURE: fixture.temperature() + truth.thermometer_error})
 
     return StreamingPart(truth, fixture, clock, line)
@@ -332,8 +331,11 @@ def scale_at(address: Address, channels: tuple[str, ...], unit_option: str = "un
     return scale
 
 
-def model_of_numbers(scale: Scale, channels: tuple[str, ...], thermometer: bool, **facts: Any) -> Model:
-    """Return the model of a device that sends numbers."""
+def model_of_numbers(
+    scale: Scale, channels: tuple[str, ...], thermometer: bool, twin: Callable[..., Link], **facts: Any
+) -> Model:
+    """Return the model of a device that sends numbers; ``twin`` is as in :class:`Model`, of a truth in their unit."""
+    printed = {"angles": scale.angles or CONVENTIONS[0], "slope": SLOPES.get(scale.unit, 0.0)}
     default = OF_G.get(scale.unit)
     sensitivity = scale.sensitivity or default or OF_TILT.get(scale.unit)
     offset = scale.offset or 0.0
@@ -351,6 +353,7 @@ def model_of_numbers(scale: Scale, channels: tuple[str, ...], thermometer: bool,
         default_truth=lambda seed: (OF_ANGLES if scale.unit in OF_TILT else LIMITS).draw(
             channels, sensitivity or UNKNOWN, abs(sensitivity or UNKNOWN) * 0.001, seed, offset
         ),
+        twin=lambda truth, *held: twin(replace(truth, **printed) if scale.unit in OF_TILT else truth, *held),
         **facts,
     )
 
@@ -367,7 +370,7 @@ def serial_columns_at(address: Address) -> Model:
         title="any device that prints numbers on a line",
         addresses=("serial:///dev/ttyUSB0?columns=x,y,temperature",),
         driver=partial(ColumnsSensor, columns),
-        twin=partial(virtual_columns, columns, scale.unit),
+        twin=partial(virtual_columns, columns),
         options=("columns", "separator", "unit", "angles", *SCALE_OPTIONS),
         configure=serial_columns_at,
     )

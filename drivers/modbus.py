@@ -278,7 +278,7 @@ def modbus_columns_at(address: Address) -> Model:
         driver=partial(ModbusColumns, layout),
         twin=partial(VirtualModbus, layout),
         not_modelled=("how often a real device renews its registers, and whether it does so between two of them",),
-        options=("columns", "table", "order", "rate", UNIT, "offset", "sensitivity", "low", "high"),
+        options=("columns", "table", "order", "rate", UNIT, "angles", "offset", "sensitivity", "low", "high"),
         configure=modbus_columns_at,
     )
 

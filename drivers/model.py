@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from math import degrees, sqrt, tan
+from math import degrees, sqrt
 from typing import NamedTuple
 
 from tiltcal.drivers.bus import Device, Link
@@ -32,12 +32,6 @@ OF_TILT = {
 
 SLOPES = {unit: OF_TILT[unit] for unit in ("mm/m", "%")}
 """The units of those that are the tangent of a tilt, with what a tangent of 1 is."""
-
-
-def printed_in(reading: float, unit: str) -> float:
-    """Return what a device prints in a unit: of a slope its tangent, in place of an angle as long near level."""
-    return SLOPES[unit] * tan(reading / SLOPES[unit]) if unit in SLOPES else reading
-
 
 NO_TWIN_MODELS = (
     "response time and bandwidth: a new position takes effect at once, and the noise of two samples is independent",

@@ -11,7 +11,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property, partial, reduce
 from importlib import import_module
 from itertools import product
@@ -23,7 +23,7 @@ from tiltcal.column_names import TEMPERATURE
 from tiltcal.drivers.bus import Link
 from tiltcal.drivers.bus.clock import Clock
 from tiltcal.drivers.columns import CHUNK, LONGEST, UNUSABLE, Scale, channels_of, model_of_numbers
-from tiltcal.drivers.model import OF_TILT, Model, Reading, Sensor, printed_in
+from tiltcal.drivers.model import Model, Reading, Sensor
 from tiltcal.drivers.virtual import HeldPose, StreamingPart, Truth
 from tiltcal.errors import BusError
 
@@ -331,12 +331,11 @@ def answer_with(device: TextDevice, numbers: Mapping[str, float]) -> str:
 
 def virtual_text_device(device: TextDevice, truth: Truth, fixture: HeldPose, clock: Clock) -> StreamingPart:
     """Return a device that answers, or prints, at most ten times a second; it takes any question for its own."""
-    truth = replace(truth, angles=device.scale.unit in OF_TILT)
 
     def message(number: int) -> bytes:
         numbers = {TEMPERATURE: fixture.temperature() + truth.thermometer_error}
         for name in channels_of(device.names):
-            numbers[name] = printed_in(truth.sample(name, fixture, clock, number), device.scale.unit)
+            numbers[name] = truth.sample(name, fixture, clock, number)
         return answer_with(device, numbers).encode(ENCODING)
 
     baudrate = int(device.line.get("baudrate", 9600))

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from functools import cache
 from hashlib import blake2b
 from itertools import pairwise
-from math import asin, copysign, cos, exp, pi, radians, sin, sqrt
+from math import asin, copysign, cos, exp, pi, radians, sin, sqrt, tan
 from typing import TYPE_CHECKING
 
 from tiltcal.errors import BusError
@@ -85,7 +85,9 @@ class Truth:
     supply: of an analog sensor, V; its coefficients always refer to 5 V.
     mounting: rotation of the sensor on the fixture: roll, pitch, yaw, degrees.
     jig, ambient, time_constant: of its :class:`Fixture`.
-    angles: whether a channel reads its own tilt, asin of the component of gravity along its row, in place of that.
+    angles: the convention where a channel reads its own tilt, radians times its row's length: ``inclination``, the
+        arcsine of the component of gravity along its row, or ``euler``, where y is the roll; empty for that component.
+    slope: reading of a tangent of 1 where it prints slopes, else 0.
     """
 
     channels: tuple[str, ...]
@@ -105,7 +107,8 @@ class Truth:
     ambient: float = AMBIENT
     time_constant: float = 0.0
     faults: tuple[Fault, ...] = ()
-    angles: bool = False
+    angles: str = ""
+    slope: float = 0.0
 
     def reading(self, channel: str, gravity: Vector, temperature: float) -> float:
         """Return the reading of a channel without noise, in its unit, for up in the sensor frame, g, and °C."""
@@ -113,13 +116,18 @@ class Truth:
         signal = row.get("x", 0.0) * x + row.get("y", 0.0) * y + row.get("z", 0.0) * z
         if self.angles:
             size = sqrt(sum(value**2 for value in row.values()))
-            signal = size * asin(min(max(signal / size, -1.0), 1.0))
+            sine, across = signal / size, row.get("x", 0.0) / size
+            if self.angles == "euler" and channel == "y":
+                pitch = (x - across * sine) ** 2 / (1.0 - across**2)
+                sine /= sqrt(max(1.0 - pitch, 1e-12))
+            signal = size * asin(min(max(sine, -1.0), 1.0))
         own = row[channel]
         bend = own * _powers(self.nonlinearity.get(channel, ()), signal / own, 2)
         dt = temperature - self.reference
         drift = _powers(self.drift.get(channel, ()), dt, 1)
         gain = _powers(self.gain.get(channel, ()), dt, 1)
-        return self.offset[channel] + drift + (1.0 + gain) * (signal + bend)
+        value = self.offset[channel] + drift + (1.0 + gain) * (signal + bend)
+        return self.slope * tan(value / self.slope) if self.slope else value
 
     def sample(self, channel: str, fixture: HeldPose, clock: Clock, number: int) -> float:
         """Return what a channel reads now with the noise of a sample; of a stuck sensor what it reads when level."""

@@ -10,9 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 from support.command import tiltcal as run
+from support.virtual_device import VirtualDevice
 
 import tiltcal
 from tiltcal.core.attitude import gravity_from_tilt
+from tiltcal.drivers import find_model
 from tiltcal.drivers.model import OF_G, OF_TILT
 from tiltcal.files.procedure import Positions, find_procedure
 
@@ -182,3 +184,17 @@ def test_free_positions_and_a_convention_of_components_are_refused() -> None:
         tiltcal.fit("free", {"position": [f"p{n}" for n in range(20)], **readings}, serial="A", unit="deg")
     with pytest.raises(tiltcal.TiltcalError, match="is of readings that are angles"):
         tiltcal.fit("plane", table("plane", "deg", "euler"), serial="A", unit="V", angles="euler", jig=0.1)
+
+
+@pytest.mark.parametrize(("stated", "y"), [("", 20.0), ("&angles=inclination", 20.0), ("&angles=euler", 21.344)])
+def test_a_virtual_device_prints_in_its_convention(stated: str, y: float) -> None:
+    ideal: dict[str, Any] = {
+        "offset": {"x": 0.0, "y": 0.0},
+        "sensitivity": {axis: {axis: 57.29578} for axis in "xy"},
+        "noise": {},
+        "drift": {},
+        "gain": {},
+    }
+    device = VirtualDevice(find_model("serial-columns"), f"columns=x,y&unit=deg{stated}", **ideal)
+    device.fixture.gravity = gravity_from_tilt({"x": 20.0, "y": 20.0})  # roll: atan2(0.34202, 0.87525)
+    assert device.fresh().values == pytest.approx((20.0, y), abs=0.01)

@@ -8,7 +8,7 @@ import pytest
 
 from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.bus.clock import VirtualClock
-from tiltcal.drivers.model import OF_TILT, Model, Reading, Sensor, printed_in
+from tiltcal.drivers.model import OF_TILT, SLOPES, Model, Reading, Sensor
 from tiltcal.drivers.virtual import Fixture
 from tiltcal.errors import HardwareError
 
@@ -58,8 +58,9 @@ class VirtualDevice:
 
     def expected(self, channel: str) -> float:
         unit = self.model.unit
-        truth = replace(self.truth, angles=unit in OF_TILT)
-        return printed_in(truth.reading(channel, self.fixture.gravity, self.fixture.temperature()), unit)
+        printed = self.model.angles or "inclination" if unit in OF_TILT else ""
+        truth = replace(self.truth, angles=printed, slope=SLOPES.get(unit, 0.0))
+        return truth.reading(channel, self.fixture.gravity, self.fixture.temperature())
 
     def fresh(self) -> Reading:
         """A reading of what is there now."""
