@@ -33,8 +33,6 @@ from tiltcal.drivers.registers import RegisterPart, RegisterSensor
 from tiltcal.drivers.virtual import Tolerances
 
 COUNTING_ON = {"i": 0x80, "s": 0x40}  # the bit of the first byte that makes a burst count on, of parts that need one
-
-
 MPU = {b"\x68": "mpu6050", b"\x70": "mpu6500", b"\x71": "mpu9250", b"\x73": "mpu9250"}
 LSM6DS = {b"\x69": "lsm6ds3", b"\x6a": "lsm6ds3tr-c", b"\x6c": "lsm6dsox"}
 """What says which identity: boards are sold by one name with one of the others."""

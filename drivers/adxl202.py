@@ -190,7 +190,6 @@ class PulseTrains:
 
 ZERO = 0.5  # nominal duty cycle at 0 g
 DUTY = "{:.6f} duty"
-
 EDGES_AT_ONCE = 256  # the largest number of edges to take in one transaction
 TROUBLED = 256  # transactions with edges, but without a cycle, before the driver raises an error
 

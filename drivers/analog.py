@@ -32,7 +32,6 @@ from tiltcal.drivers.virtual import JIG, TIME_CONSTANT, HeldPose, Truth, uniform
 from tiltcal.errors import DeviceFault
 
 CHANNELS = ("x", "y")
-
 ZERO = NOMINAL / 2.0  # nominal reading at 0 g, V referred to 5 V
 LOWEST_SANE, HIGHEST_SANE = 0.05 * NOMINAL, 0.95 * NOMINAL
 """After a memory parity error an SCA100T holds both outputs below 0.25 V; above 95 % of the supply it is in its
@@ -211,7 +210,6 @@ ADXL202 = tuple(
 ZERO_CELSIUS = 273.15  # K
 THERMISTOR_SUPPLY = (1.0, 5.5)  # limits of the converters, V; a divider works with any supply
 THERMISTOR_OPTIONS = ("beta", "r0", "t0", "a", "b", "c", "fixed", "to")
-
 SHORTED, OPEN = 0.005, 0.995  # shares of the supply that only a broken divider reaches
 
 

@@ -54,7 +54,6 @@ OFFSET_SPREAD, ANYWHERE = 0.1, 1e4
 """Standard deviation of the offset between devices, g, with and without a known nominal offset."""
 
 SCALE_OPTIONS = ("offset", "sensitivity", "low", "high")
-
 RAIL = 1e12  # rails if the address states none: no printed number reaches them
 _WORD = re.compile(r"[^\W\d]\w*(?:\^?-?\d)?")  # a label or unit
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9]*")

@@ -36,7 +36,6 @@ ORDERS = {"abcd": (False, False), "cdab": (True, False), "badc": (False, True), 
 """Whether the lowest register comes first, and whether the bytes of each register are swapped."""
 
 TABLES = {"holding": HOLDING, "input": INPUT}
-
 UNIT = "measured_in"  # the option for the unit of the numbers, because `unit` is the device on the line
 LONGEST = 125  # registers of one request (MODBUS Application Protocol V1.1b3, 6.3)
 RATE = 10.0  # samples per second if the address states no rate

@@ -11,7 +11,6 @@ from tiltcal.drivers.bus import SpiPort
 from tiltcal.drivers.virtual import Tolerances
 
 Registers = Mapping[int, int]  # contents by register
-
 ANY_PORT = SpiPort((0,), 10_000_000, 1_000_000)  # of a part whose source states none
 ANY_PART = Tolerances(offset=0.1, sensitivity=0.1)  # likewise
 SPI, I2C = "spi:///dev/spidev0.0", "i2c:///dev/i2c-1?address="  # examples; the user must state the I2C address

@@ -39,7 +39,6 @@ from tiltcal.drivers.virtual import (
 from tiltcal.errors import DeviceFault, UsageError
 
 MEAS, RWTR, STX, STY, RDAX, RDAY = 0x00, 0x08, 0x0E, 0x0F, 0x10, 0x11
-
 FULL_SCALE = 2047  # largest 11-bit word; it corresponds to the supply voltage
 ZERO = 1024  # nominal word at 0 g
 LOWEST_SANE_WORD = 102  # after a memory parity error or a broken interconnection, the part sends words below this one

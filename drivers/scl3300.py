@@ -45,7 +45,6 @@ MODES = tuple(bytes.fromhex(frame) for frame in ("B400001F", "B4000102", "B40002
 MODE = bytes.fromhex("340000DF")  # read the mode
 WAKE_UP = MODES[0]  # the only frame that a part in power-down takes
 SAMPLE = (ACC_X, ACC_Y, ACC_Z, TEMPERATURE)
-
 NORMAL, ERROR = 0b01, 0b11  # return status; 0b00 is a part that starts up, 0b10 is reserved
 FLAGS = {
     0x200: "digital block (DIGI1)",

@@ -33,7 +33,6 @@ CHANNELS = ("a1", "a2", "a3", "a4")
 TIME, THETA = "time", "theta"
 
 BAUDRATE = 921_600
-
 FASTEST = 400.0  # largest number of lines per second at the baud rate
 
 

@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 
 Vector = tuple[float, float, float]
 Polynomial = tuple[float, ...]
-
 LEVEL = (0.0, 0.0, 1.0)  # up in the frame of a level sensor, g
 JIG, AMBIENT, TIME_CONSTANT = 0.01, 24.0, 20.0
 """Jig (°), temperature at the start (°C) and chamber (s) of a virtual part that is drawn."""

@@ -10,7 +10,6 @@ from tiltcal.units import split_unit
 
 AXES = ("x", "y", "z")
 TIME, TEMPERATURE = "time", "temperature"
-
 LONGEST_NAME = 200  # characters of a name that means something
 
 _CLOCKS = (

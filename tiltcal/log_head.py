@@ -37,7 +37,6 @@ HEAD_LINES = 200  # lines in which the table must begin
 SEPARATORS = (",", ";", "\t", "|", " ")  # of the fields of a row, the likeliest first; a blank stands for several
 LONGEST_PATTERN = 2000  # characters of a line with labels
 FEW = 20  # lines of which all show how rows are written, not the later half of them
-
 OPEN_DATE = re.compile(r"(\d{1,2})[-/](\d{1,2})[-/](?:\d{4}|\d\d)(?!\d)")
 _ARRAY = re.compile(r"\s*\[\s*\{")
 _THOUSANDS, _WITH_POINT = re.compile(r"[-+]?\d{1,3}(?:,\d{3})+"), re.compile(r"[-+]?\d*\.\d+")

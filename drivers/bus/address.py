@@ -32,12 +32,10 @@ from tiltcal.stated_arguments import require_text
 
 R = TypeVar("R")
 N = TypeVar("N", int, float)
-
 _PORT = re.compile(r"/dev/(?!spi|i2c|gpio)|COM\d+(\?|$)")  # a serial port alone, which is an address of its own
 _SCHEME = re.compile(r"[a-z][a-z0-9]*(\+[a-z][a-z0-9]*)*")
 _INTEGER = re.compile(r"[+-]?(0[xX][0-9a-fA-F]+|[0-9]+)")
 _NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
-
 SCHEMES = (*BUSES, "sim")  # last part of every known scheme
 
 

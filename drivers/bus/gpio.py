@@ -22,7 +22,6 @@ from tiltcal.errors import BusError, HardwareError
 from tiltcal.extras import how_to_add
 
 RECORD = Struct("<QBBI")
-
 TIMEOUT = 2.0  # seconds without an edge that are an error: two hundred of the part's longest periods
 GATHER = 0.005  # seconds for which edges are collected into one answer: 20 edges at 4,000 per second
 KERNEL_BUFFER = 1024  # edges that the kernel buffers for two lines before the oldest is lost; this is its maximum

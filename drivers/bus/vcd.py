@@ -19,7 +19,6 @@ from tiltcal.errors import BusError
 
 PREFACE = 20  # lines before the header that are skipped
 _IDENTITY = attrgetter("st_ino", "st_size", "st_mtime_ns")
-
 MOST_NS = 1 << 63  # the record of an edge holds times up to 292 years
 
 

@@ -122,7 +122,6 @@ def declared(declaration: type, names: str = "") -> Callable[[F], F]:
 
 file_option = partial(click.option, type=FILE)  # an option that takes a path
 above_zero = partial(click.option, type=Number(require_above_zero))  # an option that takes a number above 0
-
 as_json = click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 
 

@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from tiltcal.logs.log import LogReader
 
 HEADING = "heading"
-
 _MEMORY = 256 << 20  # keep the columns in memory up to so many bytes, and in temporary files beyond
 
 

@@ -62,7 +62,6 @@ from tiltcal.logs.streams import sha256_of
 from tiltcal.stated_arguments import require_name
 
 R = TypeVar("R", FileRecord, SegmentsRecord)
-
 IDLE = 1e-6  # gravity along an axis that differs by less between positions determines nothing, g
 WEIGHTLESS = 0.5  # readings whose length is below this most of the time are without gravity, g
 UNSTATED = "1"  # stands for a unit that nothing states yet; it fits all

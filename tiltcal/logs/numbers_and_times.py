@@ -29,7 +29,6 @@ if TYPE_CHECKING:
 FOLLOWING = 5  # rows that stay behind where a clock starts again
 EPOCH = (1e9, 2e10)  # seconds since 1970 between which a number is a time since then
 PACE = (1e-6, 86400.0)  # seconds between rows that show that such a number is none of a counter
-
 _CUT_NUMBER = re.compile(r"[+-]?((\d+\.?\d*|\.\d+)[eE][+-]?|\d*\.)?")
 _OPEN_POINT = r"\.([^0-9]|$)"
 _DAY = r"^\s*\d{4}-\d"

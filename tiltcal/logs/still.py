@@ -44,9 +44,7 @@ MULTIPLES = (1.4, 1.7, 2.0, 2.4, 2.8, 3.4, 4.0, 5.0, 6.0, 8.0, 10.0)
 """Thresholds that are tried, in units of the noise of the stillest part."""
 
 NEARLY = 0.15  # rows whose lengths differ by less may all be gravity, and may be means, relative
-
 AT_REST = 10.0  # standard deviations of a sample by which the means of one attitude may differ
-
 SAME_DIRECTION_COSINE = cos(radians(0.5))
 """Still intervals one after the other, with less of a turn between them than this, are one attitude."""
 

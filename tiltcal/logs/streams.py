@@ -22,7 +22,6 @@ from typing import BinaryIO, TypeVar, cast
 from tiltcal.errors import InputError, TiltcalError, UsageError
 
 T = TypeVar("T")
-
 STANDARD = "-"  # the name of standard input and standard output
 _LOOK = 0.2  # seconds until a wait for bytes looks whether Ctrl-C came
 _OF_THE_SYSTEM = re.compile(r"\(os error (\d+)\)$|errno = (\d+)")  # in what libraries say where the system refuses

@@ -40,7 +40,6 @@ _KINDS = {
 _NOISE = {"N": "white noise", "B": "flicker noise", "K": "random walk", "R": "drift"}
 
 _DASHES = {"N": "--", "B": ":", "K": "-.", "R": (0, (8, 3))}
-
 _STAGES = (GREY, RED, BLUE)  # the colours of one accelerometer, the sum after p, the sum after p and q
 
 
