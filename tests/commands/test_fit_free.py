@@ -238,6 +238,7 @@ def refused(folder: Path, procedure: str, log: str, *options: str) -> str:
         ("free", (), "no threshold finds enough attitudes"),
         ("free", ("--gravity", "1.0"), "--gravity"),
         ("free", ("--gravity", "9.95"), "--gravity"),
+        ("free", ("--unit", "g\x07"), "the unit"),
         ("free", ("--segments", "three.csv"), "3 free positions"),
     ],
 )
