@@ -71,3 +71,13 @@ def test_the_lean_of_the_table_is_no_residual_of_a_reversal(tmp_path: Path) -> N
     found = tiltcal.fit("reversal", table, base=tmp_path / "base.yaml", **stated)
     assert max(abs(one) for row in found.fit.residuals.values() for one in row.values()) < 5.0
     assert found.offset == pytest.approx({"x": 37.0, "y": -21.0}, abs=1.0)
+
+
+@pytest.mark.parametrize(("p", "said"), [("0.0009", False), ("0.02", True), ("0.06", False)])
+def test_an_agreement_of_one_session_in_twenty_is_remarked(p: str, said: bool, tmp_path: Path) -> None:
+    """Below 1 in 1000 the file is not credible, above 1 in 20 nothing is said."""
+    text = (FIXTURES / "comparison.yaml").read_text().replace("p_value: 0.775", f"p_value: {p}")
+    (tmp_path / "a.yaml").write_text(text)
+    checked = tiltcal_command("check", "a.yaml", cwd=tmp_path)
+    assert ("worse than a jig of 0.002° lets them (probability 0.02)" in checked.stdout + checked.stderr) is said
+    assert checked.returncode == (1 if p == "0.0009" else 0)
