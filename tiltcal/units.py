@@ -1,7 +1,8 @@
 """The units of readings, times and temperatures: how files spell them, and what they are in the unit used inside.
 
 One table serves headers of logs, attributes of NetCDF and lines of sensors. A time is in seconds inside, a temperature
-in °C; a reading keeps its unit, of which :data:`READINGS` has the spellings.
+in °C; a reading keeps its unit, of which :data:`READINGS` has the spellings. What 1 g or 1 rad is in it stands in
+:mod:`tiltcal.drivers.model`.
 """
 
 from __future__ import annotations

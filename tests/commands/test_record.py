@@ -119,6 +119,8 @@ def test_what_is_refused_writes_nothing(tmp_path: Path) -> None:
     for command, said in (
         (("record", "--rows", "3", "-o", "log.nc"), "a recording is CSV or Parquet"),
         (("noise", "--samples", "300", "-o", "log.NC4"), "a recording is CSV or Parquet"),
+        (("record", "--rows", "3", "-o", "log.mcap"), "a recording is CSV or Parquet"),
+        (("probe", "log.csv"), "--address takes one of them"),
         (("record", "--rows", "3", "-o", "log.csv"), "exists"),
         (("record", "-o", "new.csv"), "--rows"),
     ):

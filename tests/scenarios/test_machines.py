@@ -8,6 +8,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib import invalidate_caches
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -24,6 +26,7 @@ from support.moving_machines import (
     serving_registers,
 )
 
+from tiltcal.bench.drives import TextDrive
 from tiltcal.bench.machines import Machines, angles_of, gravity_of
 from tiltcal.bench.messages import PositionQuestion, Review
 from tiltcal.bench.operators import VirtualJig
@@ -133,6 +136,14 @@ def test_a_machine_that_has_moved_while_it_was_sampled_is_refused(name: str) -> 
         chamber.temperature -= 5.0
     with pytest.raises(HardwareError, match=f"{name}: it was at .*, and is at "):
         operator.ask(Review("x-45", {}))
+
+
+def test_what_a_machine_began_to_say_is_no_part_of_its_next_answer() -> None:
+    """A chamber that also talks unasked; the link of a serial port drops what arrived before a question."""
+    answers = iter((b"PV=10.0\nPV=1", b"PV=45.0\n"))
+    link = SimpleNamespace(exchange=lambda out, count: next(answers))
+    chamber = TextDrive(CHAMBER, cast(Any, link))
+    assert [chamber.read()[0]["temperature"] for _ in range(2)] == [10.0, 45.0]
 
 
 def test_a_table_that_creeps_is_awaited() -> None:

@@ -121,6 +121,8 @@ class TextDrive(Drive):
     def _heard(self, out: bytes, wanted: str) -> re.Match[str]:
         """Send, and wait for a whole line with a pattern; of several that have arrived the last one counts."""
         lines = 0
+        if out:
+            self._rest = ""  # the link drops what arrived before a question
         while lines < MOST_LINES:
             arrived = self._rest + self._exchange(out, CHUNK).decode(errors="replace")
             *whole, self._rest = re.split(r"[\r\n]+", arrived)

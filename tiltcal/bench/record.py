@@ -21,7 +21,7 @@ from tiltcal.files.atomic import BINARY, append_whole, sync_data
 from tiltcal.files.bench import BenchFile
 from tiltcal.files.moments import moment_after
 from tiltcal.journal.header import THERMOMETER, thermometer_of
-from tiltcal.journal.samples import LogColumns, _row
+from tiltcal.journal.samples import LogColumns, csv_row
 
 SECURE_NS = 1_000_000_000  # time that a row may wait for the disk, ns
 
@@ -47,7 +47,7 @@ class Recording:
         self._size = self._appended = self.missing = 0
         self.rows, self.why, self.interrupted = -1, "", False
         self.link_statistics: Mapping[str, Mapping[str, int]] = {}
-        self.append(_row(names))
+        self.append(csv_row(names))
 
     @property
     def losses_in_words(self) -> str:

@@ -49,6 +49,8 @@ def command(device: str | None, sensor: str | None, address: str | None, self_te
         if device is None or sensor is not None or self_test:
             raise UsageError("give a LOG alone, or the --address of a sensor")
         return _read(device, as_json)
+    if device is not None and sensor is not None:
+        raise UsageError(f"{device} and --sensor {sensor}: --address takes one of them")
     parsed = parse_address(address)
     sensor = sensor or device
     if parsed.scheme == "serial" and (not sensor or (sensor == "serial-columns" and "columns" not in parsed.options)):

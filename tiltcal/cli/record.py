@@ -58,16 +58,16 @@ def record_log(
 ) -> Recording:
     """Record the sensors of a bench in the format that the output's name selects; the limits are those of the command.
 
-    UsageError: ``output`` exists or would be NetCDF, or there is no end on the virtual bench.
+    UsageError: ``output`` exists or is neither CSV nor Parquet, or there is no end on the virtual bench.
     HardwareError: a sensor does not answer.
     """
-    from tiltcal.logs.formats import CSV, NETCDF, log_format
+    from tiltcal.logs.formats import CSV, PARQUET, log_format
 
     if os.path.lexists(output):
         raise UsageError(f"{output} exists; a recording never replaces one: name another file")
     written = log_format(output)
-    if written == NETCDF:
-        raise UsageError(f"{output} would be NetCDF, and a recording is CSV or Parquet: name a .csv or .parquet")
+    if written not in (CSV, PARQUET):
+        raise UsageError(f"{output}: a recording is CSV or Parquet: name a .csv or .parquet")
     log = output if written == CSV else output.with_name(output.name + ".csv")
     with _progress() as progress:
         tally = record_bench(bench, log, rate=rate, rows=rows, seconds=seconds, progress=progress)

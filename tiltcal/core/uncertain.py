@@ -98,7 +98,7 @@ class Uncertain:
         return self.chosen([k for k, name in enumerate(self.names) if not name.startswith(starts)])
 
     def beside(self, other: Uncertain) -> Uncertain:
-        """Return these and other quantities, whose errors are independent of these."""
+        """Return these and other quantities, whose errors are independent of these; without the sources of either."""
         across = np.zeros((len(self.names), len(other.names)))
         covariance, wide = (
             np.block([[one, across], [across.T, two]])
@@ -107,7 +107,10 @@ class Uncertain:
         return Uncertain((*self.names, *other.names), np.concatenate([self.value, other.value]), covariance, wide)
 
     def through(self, jacobian: Array, names: Sequence[str], *, source: str = "") -> Uncertain:
-        """Return m quantities that follow linearly, by derivatives (m, k), and count as a source, or as these do."""
+        """Return m quantities that follow linearly, by derivatives (m, k): their errors alone, of value 0.
+
+        They count as the ``source``, or as these do where these have one alone.
+        """
         covariance, wide = (jacobian @ matrix @ jacobian.T for matrix in (self.covariance, self.wide))
         source = source or (next(iter(self.sources)) if len(self.sources) == 1 else "")
         sources = {source: np.diag(covariance)} if source else {}
@@ -117,7 +120,7 @@ class Uncertain:
         """Return quantities by a function of these, from shape (k,) to (m,), that may have corners.
 
         It is evaluated one standard deviation to either side along each column of the Cholesky factor: that stays
-        finite at a corner, such as the angle between two directions that are nearly parallel.
+        finite at a corner, such as the angle between two directions that are nearly parallel. Sources are left out.
 
         Source: S. Julier and J. Uhlmann, *Unscented filtering and nonlinear estimation*, Proc. IEEE 92 (2004) 401.
         """

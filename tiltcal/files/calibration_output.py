@@ -30,8 +30,7 @@ def write_calibration(
     try:
         calibration_in(parse_document(text))
     except InputError as contradiction:
-        why = f"{path} is not written, for the result contradicts itself: {contradiction}"
-        raise EstimateError(why, advice="leave out the sessions that disagree") from None
+        raise EstimateError(f"{path} is not written, for the result contradicts itself: {contradiction}") from None
     write_whole(path, text)
     if replaced and remark:
         remark(replaced)

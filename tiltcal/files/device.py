@@ -81,7 +81,7 @@ class DeviceFile(Record, kw_only=True, frozen=True):
         return TextDevice(
             **{key: getattr(self, key) for key in same},
             scale=Scale(self.unit, self.offset, self.sensitivity, low, high, self.angles),
-            checksum=self.checksum.removeprefix("none"),
+            checksum="" if self.checksum == "none" else self.checksum,
             line={key: str(getattr(self, key)) for key in ("baudrate", "parity", "bits", "timeout")},
         )
 

@@ -36,14 +36,14 @@ class LogColumns:
                 cells.append(_celsius(None if reading is None else reading.temperature))
         if self._thermometer:
             cells.append(_celsius(next((reading.temperature for reading in sample.values()), None)))
-        return _row(cells)
+        return csv_row(cells)
 
 
 def _celsius(temperature: float | None) -> str:
     return "" if temperature is None else f"{temperature:.3f}"
 
 
-def _row(cells: Sequence[str]) -> bytes:
+def csv_row(cells: Sequence[str]) -> bytes:
     return (",".join(cells) + "\n").encode()
 
 
@@ -51,5 +51,5 @@ def samples_into(stream: BinaryIO, setup: Setup) -> Callable[[Sample], object]:
     """Return what writes a sample of a session as a row of a log; a sensor that was given up leaves its cells empty."""
     models = {device.serial: device.wired for device in setup.sensors}
     columns = LogColumns(models, thermometer=setup.thermometer is not None)
-    stream.write(_row(columns.names))
+    stream.write(csv_row(columns.names))
     return lambda sample: stream.write(columns.row(moment_after(setup.began, sample.now_ns), sample))

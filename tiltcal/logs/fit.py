@@ -43,6 +43,7 @@ from tiltcal.logs.positions import (
     intervals_of,
     intervals_of_table,
     placed,
+    position_of,
     require_positions,
     trimmed,
 )
@@ -317,7 +318,7 @@ def _require_held(procedure: PositionProcedure, holds: Trimmed, file: str) -> No
     reasons = [
         f"{name} ({why})"
         for name, why in holds.left_out.items()
-        if not there or ((position := name.partition(" (")[0]) in procedure.known and position not in there)
+        if not there or ((position := position_of(name)) in procedure.known and position not in there)
     ]
     if reasons:
         raise InputError(f"no hold is left in {', '.join(reasons)}: take it again", file=file)

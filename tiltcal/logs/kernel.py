@@ -250,15 +250,15 @@ def prepare(
         raise InputError(failure.words, file=file) from failure
     prepared = PreparedSensor(
         kernel,
-        kernel.columns,
-        coefficients.channels,
-        sensor.unit,
-        {**stated, "serial": sensor.serial},
-        kernel.angles,
-        0.0 if coefficients.thermal is None else coefficients.thermal.lag,
-        judge,
-        remarks,
-        sensor.columns,
+        added=kernel.columns,
+        channels=coefficients.channels,
+        unit=sensor.unit,
+        origin={**stated, "serial": sensor.serial},
+        angles=kernel.angles,
+        lag=0.0 if coefficients.thermal is None else coefficients.thermal.lag,
+        judge=judge,
+        remarks=remarks,
+        named=sensor.columns,
     )
     roles = [HEADING] if named and "magnetometer" not in named else []
     roles += [TIME] if size is not None and size.seconds else []

@@ -32,12 +32,18 @@ FEWEST_ROWS = 2  # samples that a segment needs for a standard deviation
 UP = (0.0, 0.0, 1.0)  # stands for a direction that nothing has said yet
 MOST_FAULTS = 2  # holds in which one channel may be at its rail or stand still before the sensor is not credible
 STEP_BLOCKS, STEP = 8, 4.0  # blocks of a hold; a jump between them exceeds their wandering so many times
-AGAIN = "{} ({})"  # how a position is called that is taken again
+AGAIN = "{} ({})"  # how a position is called that is taken again; position_of gives back its name
 SOAKS = 3  # soaks up to the end of a segment over which the temperature is judged
 FEWEST_FOR_A_RISE, CERTAIN = 4, 3.0
 """The least number of samples that can show a rise, and the standard deviations by which it exceeds their scatter."""
 
+
 Rails = Mapping[str, tuple[float, float]]  # the lowest and the highest reading of channels, unit
+
+
+def position_of(name: str) -> str:
+    """Return the position whose name a segment has, be it taken again."""
+    return name.partition(" (")[0]
 
 
 @dataclass(frozen=True)

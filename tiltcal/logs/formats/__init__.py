@@ -18,12 +18,12 @@ from tiltcal.logs.log import LogReader, LogSource, LogWriter, Progress
 from tiltcal.logs.streams import STANDARD, log_source
 from tiltcal.stated_arguments import require_boolean
 
-CSV, NETCDF, ROSBAG = "csv", "netcdf", "rosbag"
+CSV, PARQUET, NETCDF, ROSBAG = "csv", "parquet", "netcdf", "rosbag"
 
 FORMATS: Mapping[str, str] = {
     ".csv": CSV,
-    ".parquet": "parquet",
-    ".pq": "parquet",
+    ".parquet": PARQUET,
+    ".pq": PARQUET,
     ".nc": NETCDF,
     ".nc4": NETCDF,
     **dict.fromkeys((".mcap", ".db3", ".bag"), ROSBAG),
