@@ -223,9 +223,11 @@ def evenly_spaced(columns: list[Array], times: Array, file: str) -> tuple[list[A
         why = "its times do not change" if len(singles) else "it has no two rows with a time"
         why = why if len(rows) else "no row has a time"
         raise InputError((f"its sample rate is unknown: {why}; state it with ", RATE), file=file)
-    milliseconds = times[rows[:1000]] / _MILLISECOND
+    # So do those to the second, where most of them stand still.
+    written = 1.0 if float(np.median(singles)) == 0.0 and np.all(times[rows] % 1.0 == 0.0) else _MILLISECOND
+    units = times[rows[:1000]] / written
     steps[again] = 2.0 * usual  # where the clock starts again, at least a row is lost
-    slack = _MILLISECOND if np.all(np.abs(milliseconds - np.round(milliseconds)) < 1e-3) else 0.0
+    slack = written if np.all(np.abs(units - np.round(units)) < 1e-3) else 0.0
     late = np.flatnonzero(steps > _LATE * usual + slack)
     interval = float(np.nanmean(np.delete(steps, late)))
     lost = np.maximum(np.round(steps[late] / usual), 2).astype(np.int64) - 1

@@ -57,3 +57,10 @@ def test_times_in_iso_8601() -> None:
     time = [f"2026-01-02T03:{4 + second // 60:02}:{second % 60:02}Z" for second in seconds]
     found = tiltcal.noise({"time": time, "x": np.random.default_rng(1).normal(size=len(time))})
     assert found.pace == Pace(interval=pytest.approx(1.0), rows=67, gaps=1, lost=3)
+
+
+def test_times_to_the_second_are_those_of_faster_rows() -> None:
+    """A logger that writes whole seconds at 100 Hz: no row is lost between two of them."""
+    columns, pace = evenly_spaced([np.arange(1000.0)], np.repeat(np.arange(10.0), 100), "log.csv")
+    assert (len(columns[0]), pace.gaps) == (1000, 0)
+    assert pace.interval == pytest.approx(9.0 / 999.0)
