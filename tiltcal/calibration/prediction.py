@@ -108,9 +108,7 @@ def predict(
         bench = replace(bench, thermometer=model.thermometer_rounding)
     identity = identified(SensorIdentity(model.name, "", model.unit, model.channels, angles=model.angles), procedure)
     design, drift = design_of(identity, procedure, bench, nominal=model, base=base), _usual_drift(model, base)
-    kept = [one for one in procedure.positions if not too_steep(one.gravity, design.channels, identity.angle_readings)]
-    if not kept:
-        raise EstimateError(f"{procedure.name} leaves no position to {model.name}: {FEWER}")
+    kept = _usable(procedure, identity)
     planned = _planned(kept, design, model, orientation, scatter, samples)
     found = predict_uncertainty(
         design, planned, sensitivity=model.sensitivity, drift=drift, sensors=sensors, level=procedure.renews
@@ -119,37 +117,43 @@ def predict(
     tilts = half_widths(found.coefficients, found.uncertain, limits)
     by_count = dict[int, float]()
     if bench.instrument is not None and procedure.compares:
-        if usual := find_procedure(SIXTEEN, procedure.angle).in_positions().positions[len(kept) :]:
-            planned += _planned(usual, design, model, orientation, scatter, samples)
+        usual = find_procedure(SIXTEEN, procedure.angle).in_positions().positions[len(kept) :]
+        further = [*planned, *_planned(usual, design, model, orientation, scatter, samples)] if usual else planned
         for count in sorted({len(kept), *(count for count in INCLINATIONS if count > len(kept))}):
-            reached = predict_uncertainty(design, planned[:count], sensitivity=model.sensitivity, sensors=sensors)
+            reached = predict_uncertainty(design, further[:count], sensitivity=model.sensitivity, sensors=sensors)
             halves = half_widths(reached.coefficients, reached.uncertain, limits)
             by_count[count] = max(float(halves[axis][1].max()) for axis in bench.instrument.axes)
-    one_heading = len({(position.heading or 0.0) % 360.0 for position in procedure.positions}) == 1
-    not_covered = LEAN if one_heading and bench.table_lean is None and not design.free else None
+    headings = {(position.heading or 0.0) % 360.0 for position in procedure.positions}
+    not_covered = LEAN if len(headings) == 1 and bench.table_lean is None and not design.free else None
     data = {
         "noise": scatter,
         "jig": None if design.free else design.jig,
         "uncertainty": found.uncertain.by_name(found.uncertain.u),
         "degrees_of_freedom": found.dof,
         "tilt": {
-            axis: [[round(float(tilt[k]), 6), float(half[k])] for k in (0, int(np.argmin(np.abs(tilt))), -1)]
+            axis: [[round(float(tilt[k]), 6), float(half[k])] for k in (0, _level(tilt), -1)]
             for axis, (tilt, half) in tilts.items()
         },
         "seconds": seconds,
         "worth_adding": [list(position) for position in found.worth_adding],
         "not_covered": not_covered,
     }
-    near = ", ".join(
-        f"tilt {axis} ± {np.min(half[np.argmin(np.abs(tilt))]):.2g}°" for axis, (tilt, half) in tilts.items()
-    )
-    assumed = f" {_assumed(bench)}" if not design.free else ""
-    lines = [*_lines(data, model, bench, design, drift, tilts), *filter(None, (not_covered and f"  {not_covered}",))]
+    near = ", ".join(f"tilt {axis} ± {half[_level(tilt)]:.2g}°" for axis, (tilt, half) in tilts.items())
+    lines = [*_lines(data, model, bench, design, drift, tilts), *([f"  {not_covered}"] if not_covered else [])]
     if by_count:
-        data["inclinations"] = min(count for count, u in by_count.items() if u <= SUFFICES * min(by_count.values()))
-        reached_by = ", ".join(f"± {u:.2g}° with {count}" for count, u in by_count.items())
-        lines.append(f"  {data['inclinations']} inclinations suffice: all tilts within {reached_by}")
-    return Plan(data, "\n".join(lines), f"{near} near level (95 %) is predicted{assumed}")
+        data["inclinations"], said = _enough(by_count)
+        lines.append(said)
+    return Plan(
+        data, "\n".join(lines), f"{near} near level (95 %) is predicted{'' if design.free else f' {_assumed(bench)}'}"
+    )
+
+
+def _usable(procedure: PositionProcedure, identity: SensorIdentity) -> list[Position]:
+    """Return the positions that do not stand a channel of angles too steep; an EstimateError where none is left."""
+    reads = identity.angle_readings
+    if kept := [one for one in procedure.positions if not too_steep(one.gravity, identity.channels, reads)]:
+        return kept
+    raise EstimateError(f"{procedure.name} leaves no position to {identity.model}: {FEWER}")
 
 
 def _planned(
@@ -174,6 +178,18 @@ def _planned(
         )
         for one, (before, setting) in zip(positions, pairwise(settings), strict=True)
     ]
+
+
+def _level(tilt: Array) -> int:
+    """Return which of some tilts is nearest to level."""
+    return int(np.argmin(np.abs(tilt)))
+
+
+def _enough(by_count: Mapping[int, float]) -> tuple[int, str]:
+    """Return how many inclinations suffice, and that in words, of what each number of them reaches, degrees."""
+    fewest = min(count for count, u in by_count.items() if u <= SUFFICES * min(by_count.values()))
+    reached = ", ".join(f"± {u:.2g}° with {count}" for count, u in by_count.items())
+    return fewest, f"  {fewest} inclinations suffice: all tilts within {reached}"
 
 
 def _lines(

@@ -105,12 +105,12 @@ def fit_recorded(
             positions = _of_log(logs, identity, steps, options, rails_of(identity.channels, nominal, own), signs)
         if by_length:
             identity = _with_unit(identity, positions, options["say"])
-        elif positions.lengths is not None:
-            remark = length_remark(positions.lengths, identity.unit, positions.columns)
-            options["say"](f"note: {remark}") if remark else None
-        remarks = (remark for log in (logs.logs if logs else ()) for remark in (*log.remarks, *log.clock.remarks))
-        for remark in dict.fromkeys(remarks):
+        elif positions.lengths is not None and (
+            remark := length_remark(positions.lengths, identity.unit, positions.columns)
+        ):
             options["say"](f"note: {remark}")
+        for said in () if logs is None else logs.remarks:
+            options["say"](f"note: {said}")
     steps = _without_idle_axes(steps, identity, positions.measurements, options["say"])
     measured = MeasuredSensor(
         identity,

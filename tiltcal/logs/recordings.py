@@ -38,6 +38,11 @@ class Recordings:
         """What messages call them."""
         return self.logs[0].name if len(self.logs) == 1 else f"the {len(self.logs)} logs"
 
+    @property
+    def remarks(self) -> Sequence[str]:
+        """What their readers say of them, each once."""
+        return list(dict.fromkeys(remark for log in self.logs for remark in (*log.remarks, *log.clock.remarks)))
+
     def read(
         self, channels: Sequence[str], columns: Mapping[str, str] | str, unit: str, others: Sequence[str] = ()
     ) -> tuple[RecordedColumns, list[Segment]]:

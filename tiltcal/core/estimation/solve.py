@@ -29,7 +29,7 @@ from tiltcal.core.uncertain import NORMAL_FACTOR, Uncertain, coverage_factor
 from tiltcal.errors import EstimateError
 
 _ROUNDS = 50  # most of them; an estimate settles in about five
-_SETTLED, _SETTLED_LATE, _LATE = 1e-6, 1e-3, 11  # end where no coefficient moves by this share of its u; by that late
+_SETTLED, _SETTLED_LATE, _LATE_ROUND = 1e-6, 1e-3, 11  # end where no coefficient moves by this share of its u
 _ARITHMETIC = 1e-9  # or by this share of its size, which rounding leaves
 LARGEST_JIG = radians(45.0)  # standard deviation of a set angle above which the positions are not those set, radians
 _CLOSE = 1e-4  # estimate a variance again until it changes by this share
@@ -111,7 +111,7 @@ def solved(equations: Equations, bench: Bench, start: Array) -> Solution:
         z[equations.errors[JIG]] = 0.0
     shortened = np.full(len(equations.looser), bench[JIG] ** 2)
     for number in range(_ROUNDS):
-        settled = _SETTLED if number < _LATE else _SETTLED_LATE
+        settled = _SETTLED if number < _LATE_ROUND else _SETTLED_LATE
         solution, step = _solution(equations, bench, z, equations.at(z, bench, shortened))
         angles = np.diag(solution.covariance)[equations.errors[JIG]]
         before, shortened = shortened, np.asarray(angles.reshape(-1, 2).sum(axis=1) / 2.0)
