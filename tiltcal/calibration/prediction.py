@@ -138,14 +138,11 @@ def predict(
         "worth_adding": [list(position) for position in found.worth_adding],
         "not_covered": not_covered,
     }
-    near = ", ".join(f"tilt {axis} ± {half[_level(tilt)]:.2g}°" for axis, (tilt, half) in tilts.items())
     lines = [*_lines(data, model, bench, design, drift, tilts), *([f"  {not_covered}"] if not_covered else [])]
     if by_count:
         data["inclinations"], said = _enough(by_count)
         lines.append(said)
-    return Plan(
-        data, "\n".join(lines), f"{near} near level (95 %) is predicted{'' if design.free else f' {_assumed(bench)}'}"
-    )
+    return Plan(data, "\n".join(lines), _near_level(tilts, "" if design.free else _assumed(bench)))
 
 
 def _usable(procedure: PositionProcedure, identity: SensorIdentity) -> list[Position]:
@@ -183,6 +180,12 @@ def _planned(
 def _level(tilt: Array) -> int:
     """Return which of some tilts is nearest to level."""
     return int(np.argmin(np.abs(tilt)))
+
+
+def _near_level(tilts: Mapping[str, tuple[Array, Array]], assumed: str) -> str:
+    """Return what is predicted near level, in words."""
+    near = ", ".join(f"tilt {axis} ± {half[_level(tilt)]:.2g}°" for axis, (tilt, half) in tilts.items())
+    return f"{near} near level (95 %) is predicted {assumed}".rstrip()
 
 
 def _enough(by_count: Mapping[int, float]) -> tuple[int, str]:

@@ -105,9 +105,7 @@ def fit_recorded(
             positions = _of_log(logs, identity, steps, options, rails_of(identity.channels, nominal, own), signs)
         if by_length:
             identity = _with_unit(identity, positions, options["say"])
-        elif positions.lengths is not None and (
-            remark := length_remark(positions.lengths, identity.unit, positions.columns)
-        ):
+        elif remark := length_remark(positions.lengths, identity.unit, positions.columns):
             options["say"](f"note: {remark}")
         for said in () if logs is None else logs.remarks:
             options["say"](f"note: {said}")

@@ -175,10 +175,10 @@ def unit_of_length(means: Array, columns: Sequence[Array], *, alone: bool = Fals
     return None
 
 
-def length_remark(means: Array, unit: str, columns: Sequence[Array]) -> str | None:
+def length_remark(means: Array | None, unit: str, columns: Sequence[Array]) -> str | None:
     """Return what speaks against a unit that is stated: the length of gravity at rest, of means (n, 3)."""
     usual = OF_G.get(unit)
-    if usual is None or means.shape[1] != 3:
+    if usual is None or means is None or means.shape[1] != 3:
         return None
     length = float(np.median(np.linalg.norm(means, axis=1)))
     if abs(length / usual - 1.0) <= CONTRADICTED:
