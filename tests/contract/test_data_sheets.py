@@ -20,7 +20,7 @@ from tiltcal.drivers.bus.clock import VirtualClock
 from tiltcal.drivers.converters import RATES, Ads1115
 from tiltcal.drivers.model import Model
 
-SHEETS = yaml.load(Path(__file__).with_name("data_sheets.yaml").read_text(encoding="utf-8"), yaml.BaseLoader)
+SHEETS = yaml.load(Path(__file__).with_name("data_sheets.yaml").read_text(encoding="utf-8"), yaml.CBaseLoader)
 LETTERS = {"spi": "s", "i2c": "i", "modbus": "m", "serial": "r"}
 
 

@@ -9,7 +9,7 @@ from support.virtual_device import VirtualDevice
 
 from tiltcal.drivers import find_model
 
-SKETCHES = yaml.load(Path(__file__).with_name("sketches.yaml").read_text(encoding="utf-8"), yaml.BaseLoader)
+SKETCHES = yaml.load(Path(__file__).with_name("sketches.yaml").read_text(encoding="utf-8"), yaml.CBaseLoader)
 TILTED = (0.2, -0.15, 0.9375**0.5)
 """Within ±15°, the narrowest range."""
 
