@@ -37,6 +37,7 @@ _MARKS = {"point": ".", "comma": ","}
 DECIMALS = tuple(_MARKS)
 DEGREES = ("deg", "°")
 
+TRIES = 3  # questions until damaged answers are a failure
 _ANY_END = r"[\r\n]+"
 _NUMBER = re.compile(r"([+-]?) *([0-9]+(?:\.([0-9]*))?|\.([0-9]+))(?:[eE]([+-]?[0-9]{1,3}))?")
 _LEFT_OVER = re.compile(r"(?<![\w.])[-+]?(?:\d+[.,]?\d*|[.,]\d+)(?![\w.])")
@@ -164,7 +165,20 @@ class TextSensor(Sensor):
         self._failed = False
 
     def read(self) -> Reading:
-        """Return the answer to a question, or the next one; a device that gives none is a BusError."""
+        """Return the answer to a question, or the next one; a device that gives none is a BusError.
+
+        A question with a damaged answer is asked again.
+        """
+        left = TRIES if self.device.ask else 1
+        while True:
+            left -= 1
+            try:
+                return self._read()
+            except BusError:
+                if not (left and self.heard):
+                    raise
+
+    def _read(self) -> Reading:
         asked = self._failed and bool(self.device.ask)
         if asked:
             # So that a late answer counts for no other question.
