@@ -37,7 +37,7 @@ from tiltcal.files.calibration import read_calibration
 from tiltcal.files.procedure import find_procedure
 from tiltcal.journal.lines import ANSWER, Journal
 
-SENSORS = "".join(f'  - {{serial: A-{n}, model: adxl202-analog, address: "sim:?seed={n}"}}\n' for n in range(3))
+SENSORS = "".join(f'  - {{serial: A-{n}, model: adxl202-analog, address: "sim:?seed={n}"}}\n' for n in range(2))
 
 BENCH = """\
 tiltcal: 1
@@ -88,7 +88,7 @@ def answers(folder: Path, journal: str = "bench.journal.jsonl") -> list[dict]:
 
 
 def test_a_night_without_a_person_and_with_a_power_cut(tmp_path: Path) -> None:
-    """Three sensors, nine temperatures, nobody at the keyboard; the journal is cut in the middle of a line."""
+    """Two sensors, nine temperatures, nobody at the keyboard; the journal is cut in the middle of a line."""
     pytest.importorskip("pymodbus", reason="the pymodbus package is not installed")
     options = (*QUICK[:4], "--samples", "10", "--settle", "0.05")
     with machines(tmp_path) as table:
@@ -99,7 +99,7 @@ def test_a_night_without_a_person_and_with_a_power_cut(tmp_path: Path) -> None:
         assert [one["position"] for one in said if one.get("event") == "accepted"][-1] == "back-24"
         waits = [one["seconds"] for one in said if one.get("event") == "waiting" and one["position"] == "up-40"]
         assert waits[:3] == [60, 120, 180], "once a minute of the bench's clock"
-        for number in range(3):
+        for number in range(2):
             (tmp_path / f"A-{number}.yaml").rename(tmp_path / f"whole-{number}.yaml")
         journal = tmp_path / "bench.journal.jsonl"
         os.truncate(journal, int(0.55 * journal.stat().st_size))
@@ -108,7 +108,7 @@ def test_a_night_without_a_person_and_with_a_power_cut(tmp_path: Path) -> None:
         assert resumed.returncode == 0, resumed.stderr
         again = [json.loads(line) for line in resumed.stdout.splitlines()]
         assert 1 < len([one for one in again if one.get("event") == "accepted"]) < 9
-    for number in range(3):
+    for number in range(2):
         calibration = read_calibration(tmp_path / f"A-{number}.yaml")
         assert len(calibration.positions) == 9
         truth = find_model("adxl202-analog").default_truth(number)
