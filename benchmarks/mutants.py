@@ -18,6 +18,7 @@ import argparse
 import ast
 import os
 import random
+import re
 import shutil
 import signal
 import subprocess
@@ -35,10 +36,23 @@ from xml.etree import ElementTree
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-PARTS = ("tiltcal", "drivers", "procedures", "tests", "fixtures", "docs", "examples", "pyproject.toml", "README.md")
+PARTS = (
+    "tiltcal",
+    "drivers",
+    "procedures",
+    "firmware",
+    "tests",
+    "fixtures",
+    "docs",
+    "examples",
+    "pyproject.toml",
+    "README.md",
+)
 PYTEST = (sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider")
 
 FAILED = "failed.txt"
+PHASE = r"(\|| \()(setup|run|call|teardown)\)?$"
+"""What coverage and pytest add to the name of a test that runs."""
 LONGEST = 300.0
 """Seconds for the tests of one change; with more it is unclear."""
 SECONDS = 40.0
@@ -62,6 +76,25 @@ LEFT_OUT = ("Variable", "RemoveDecorator")
 SENSIBLE = {"Add": "Sub", "Sub": "Add", "Mul": "Div", "Div": "Mul", "FloorDiv": "Div", "Mod": "FloorDiv"}
 SENSIBLE |= {"BitOr": "BitAnd", "BitAnd": "BitOr", "BitXor": "BitOr", "LShift": "RShift", "RShift": "LShift"}
 """One other operator for each: with most others the program fails at once."""
+
+
+FOLLOWED = {
+    "followed.py": """
+import os
+def pytest_runtest_setup():
+    os.environ["COVERAGE_PROCESS_START"] = "{folder}/followed.ini"
+""",
+    "followed.ini": """
+[run]
+source = {folder}/tiltcal
+    {folder}/drivers
+parallel = true
+context = ${{PYTEST_CURRENT_TEST}}
+disable_warnings = no-data-collected, module-not-imported, module-not-measured, already-imported
+""",
+    "sitecustomize.py": "import coverage\ncoverage.process_startup()\n",
+}
+"""Files beside the copied tests, by which a process that a test starts writes its lines under the name of that test."""
 
 
 class Place(NamedTuple):
@@ -112,10 +145,12 @@ def annotated(text: str) -> list[tuple[tuple[int, int], tuple[int, int]]]:
 
 
 class Reach:
-    """Which tests reach a line, from the coverage and the times of one or more runs of the suite."""
+    """Which tests reach a line, in their process or one that they start, and how long they take."""
 
-    def __init__(self, stems: Sequence[str]) -> None:
+    def __init__(self, stems: Sequence[str], present: set[str]) -> None:
         from coverage import CoverageData
+
+        self._present = present
 
         self._data = CoverageData(no_disk=True)
         self._seconds: dict[str, float] = {}
@@ -135,8 +170,8 @@ class Reach:
         body = function_of((root / place.file).read_text(encoding="utf-8"), place.line)
         names: set[str] = set()
         for first, last in ((place.line, place.line), body):
-            reached = (name.partition("|")[0] for line in range(first, last + 1) for name in contexts.get(line, ()))
-            names = names or {name for name in reached if "::" in name}
+            reached = (name for line in range(first, last + 1) for name in contexts.get(line, ()))
+            names = names or {re.sub(PHASE, "", name) for name in reached} & self._present
         quickest = sorted(names, key=self._time)
         until = accumulate(map(self._time, quickest))
         chosen = [name for name, so_far in zip(quickest, until, strict=True) if so_far <= SECONDS]
@@ -174,20 +209,20 @@ def copied(root: Path, folder: str) -> dict[str, str]:
 
 def record(stem: str, tests: Sequence[str]) -> int:
     """Run the suite once with coverage by test; keep which tests reach what, and their times."""
-    options = (
-        "-n",
-        "2",
-        "--cov=tiltcal",
-        "--cov=drivers",  # a link leads there
-        "--cov-context=test",
-        "--cov-report=",
-        f"--junitxml={Path(stem).resolve()}.xml",
-    )
+    stem = str(Path(stem).resolve())
+    options = ("-n", "2", "--cov=tiltcal", "--cov=drivers", "--cov-context=test", "--cov-report=")  # drivers by a link
     with tempfile.TemporaryDirectory() as folder:
-        environment = copied(ROOT, folder) | {"COVERAGE_FILE": f"{Path(stem).resolve()}.coverage"}
-        return subprocess.run(
-            [*PYTEST, *options, "--ignore=tests/project", *tests], cwd=folder, env=environment
-        ).returncode
+        environment = copied(ROOT, folder) | {"COVERAGE_FILE": f"{stem}.coverage"}
+        for name, text in FOLLOWED.items():
+            Path(folder, name).write_text(text.format(folder=folder, stem=stem), encoding="utf-8")
+        command = [*PYTEST, *options, "-p", "followed", f"--junitxml={stem}.xml", *tests]
+        return subprocess.run(command, cwd=folder, env=environment).returncode
+
+
+def present() -> set[str]:
+    """Return the names of the tests that there are; the map may be older."""
+    listed = subprocess.run([*PYTEST, "--collect-only"], cwd=ROOT, capture_output=True, text=True, check=True).stdout
+    return {line for line in listed.splitlines() if "::" in line}
 
 
 def run(options: argparse.Namespace) -> int:
@@ -197,8 +232,9 @@ def run(options: argparse.Namespace) -> int:
 
     for library in LOADED:
         import_module(library)
-    chance, reach, began = random.Random(options.seed), Reach(options.reach), time.monotonic()
-    drawn = chance.sample(list(places(ROOT)), 2 * options.count)
+    chance, reach, began = random.Random(options.seed), Reach(options.reach, present()), time.monotonic()
+    among = [place for place in places(ROOT) if place.file.startswith(tuple(options.under))]
+    drawn = chance.sample(among, min(2 * options.count, len(among)))
     counted: dict[str, int] = defaultdict(int)
     with tempfile.TemporaryDirectory() as folder:
         environment = copied(ROOT, folder)
@@ -282,10 +318,12 @@ def main() -> int:
     parser.add_argument("--map", metavar="STEM", help="run the suite once, and write STEM.coverage and STEM.xml")
     parser.add_argument("tests", nargs="*", help="with --map: the tests to run, all without any")
     parser.add_argument("--with", dest="reach", metavar="STEM", action="append", default=[], help="what --map wrote")
+    parser.add_argument("--under", metavar="FOLDER", action="append", default=[], help="draw there, and not everywhere")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--count", type=int, default=120)
     parser.add_argument("--minutes", type=float, default=60.0)
     options = parser.parse_args()
+    options.under = options.under or [""]
     return record(options.map, options.tests) if options.map else run(options)
 
 
