@@ -25,8 +25,7 @@ def users(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_what_is_used_is_said_and_stands_in_the_journal(users: Path) -> None:
     users.write_text(USERS)
     Path("tiltcal.toml").write_text('folder = "calibrations"\njig = 0.05\n')
-    done = tiltcal("measure", "plane", *SENSOR, "--operator", "sim")
-    assert done.returncode == 0, done.stderr
+    done = tiltcal("measure", "plane", *SENSOR, "--operator", "sim", code=0)
     assert done.stderr.splitlines()[:4] == [
         f"operator Ada: not stated, so it is that of {users}",
         f"references table T-1: not stated, so it is that of {users}",
@@ -46,9 +45,9 @@ def test_what_is_used_is_said_and_stands_in_the_journal(users: Path) -> None:
     )
     # The journal is enough, whatever becomes of the defaults; and what is stated is not replaced.
     Path("tiltcal.toml").write_text("jig = nothing\n")
-    assert tiltcal("replay", "calibrations/S-1.journal.jsonl", "--golden", "calibrations").returncode == 0
-    assert tiltcal("check", "calibrations/S-1.yaml").returncode == 0
-    assert tiltcal("measure", "--resume", "calibrations/S-1.journal.jsonl").returncode == 0
+    tiltcal("replay", "calibrations/S-1.journal.jsonl", "--golden", "calibrations", code=0)
+    tiltcal("check", "calibrations/S-1.yaml", code=0)
+    tiltcal("measure", "--resume", "calibrations/S-1.journal.jsonl", code=0)
     assert "a perfect jig" in str(library.plan("plane", sensor="sca100t-d02"))
     Path("tiltcal.toml").write_text("jig = 1\n")
     stated = tiltcal("measure", "plane", *SENSOR, "--operator", "sim", "--jig", "0.2", "-o", "other.yaml")
@@ -86,7 +85,5 @@ def test_a_wrong_file_is_refused_with_line_and_key(users: Path, users_text: str,
     users.write_text(users_text)
     Path("tiltcal.toml").write_text(projects)
     for command in (["config"], ["measure", "plane", *SENSOR, "--operator", "sim", "-o", "S-1.yaml"]):
-        done = tiltcal(*command)
-        assert done.returncode == 2
-        assert said in done.stderr
+        assert said in tiltcal(*command, code=2).stderr
     assert not Path("S-1.yaml").exists()

@@ -34,8 +34,7 @@ class Fit:
 
 
 def fitted(folder: Path, log: Path, *options: str | Path) -> Fit:
-    result = tiltcal("fit", "free", log, *options, "--serial", "S-1", "-o", "cal.yaml", cwd=folder)
-    assert result.returncode == 0, result.stderr
+    result = tiltcal("fit", "free", log, *options, "--serial", "S-1", "-o", "cal.yaml", cwd=folder, code=0)
     return Fit(read_calibration(folder / "cal.yaml"), result.stdout, result.stderr, folder)
 
 
@@ -220,8 +219,7 @@ class TestWarm:
 
 
 def refused(folder: Path, procedure: str, log: str, *options: str) -> str:
-    result = tiltcal("fit", procedure, log, *options, "--serial", "S-1", "-o", "cal.yaml", cwd=folder)
-    assert result.returncode == 2, result.stderr
+    result = tiltcal("fit", procedure, log, *options, "--serial", "S-1", "-o", "cal.yaml", cwd=folder, code=2)
     assert not (folder / "cal.yaml").exists()
     return result.stderr
 

@@ -45,9 +45,7 @@ def folder(tmp_path: Path) -> Path:
 )
 def test_an_output_replaces_no_input(command: tuple[str, ...], folder: Path) -> None:
     before = {path.name: path.read_bytes() for path in folder.iterdir()}
-    done = tiltcal(*command, cwd=folder)
-    assert done.returncode == 2
-    assert "it would replace" in done.stderr
+    assert "it would replace" in tiltcal(*command, cwd=folder, code=2).stderr
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
 
 
@@ -66,7 +64,7 @@ def test_a_calibration_replaces_one_of_its_own_sensor_and_no_other_file(
     (folder / "table.csv").write_text(TABLE)
     shutil.copy(folder / "plane.yaml", folder / "S-1.yaml")
     if "fit" in command:
-        assert tiltcal(*command, "--serial", "S-1", "-o", "first.yaml", cwd=folder).returncode == 0
+        tiltcal(*command, "--serial", "S-1", "-o", "first.yaml", cwd=folder, code=0)
         first, command = (folder / "first.yaml").read_text(), (*command, "--serial", "S-1")
     else:
         first = (folder / "plane.yaml").read_text()
@@ -78,14 +76,13 @@ def test_a_calibration_replaces_one_of_its_own_sensor_and_no_other_file(
         (first.replace(f"model: {model}", "model: adxl202"), f"is the calibration of adxl202 {serial}, not of {new}"),
     ):
         (folder / "out.yaml").write_text(text)
-        done = tiltcal(*command, "-o", "out.yaml", cwd=folder)
-        assert (done.returncode, (folder / "out.yaml").read_text()) == (2, text), done.stderr
+        done = tiltcal(*command, "-o", "out.yaml", cwd=folder, code=2)
+        assert (folder / "out.yaml").read_text() == text, done.stderr
         assert said in done.stderr
         assert not (folder / "out.journal.jsonl").exists()
     ended = "2000-01-01T00:00:00.594Z"
     (folder / "out.yaml").write_text(first)
-    done = tiltcal(*command, "-o", "out.yaml", cwd=folder)
-    assert done.returncode == 0, done.stderr
+    done = tiltcal(*command, "-o", "out.yaml", cwd=folder, code=0)
     assert done.stderr.count("out.yaml: the calibration of ") == 1
     assert ("fit" in command) != (f"out.yaml: the calibration of {ended} is replaced" in done.stderr)
 
@@ -103,9 +100,7 @@ def test_a_calibration_replaces_one_of_its_own_sensor_and_no_other_file(
     ],
 )
 def test_a_name_that_is_too_long_is_refused(command: tuple[str, ...], folder: Path) -> None:
-    done = tiltcal(*command, cwd=folder)
-    assert done.returncode == 2, done.stderr
-    assert LONG in done.stderr
+    assert LONG in tiltcal(*command, cwd=folder, code=2).stderr
 
 
 def test_a_calibration_may_come_out_of_a_pipe_where_it_is_read_once(folder: Path) -> None:
@@ -134,8 +129,7 @@ def test_names_that_are_not_utf_8(folder: Path) -> None:
     """What a session would keep of them, in the journal and in the calibration, is text."""
     shutil.copy(folder / "plane.yaml", folder / f"{NOT_UTF_8}.yaml")
     for arguments in (("--serial", NOT_UTF_8), ("-o", f"{NOT_UTF_8}.2.yaml"), ("--journal", NOT_UTF_8)):
-        done = measure(*arguments, cwd=folder)
-        assert done.returncode == 2
+        done = measure(*arguments, cwd=folder, code=2)
         assert f"{ascii(NOT_UTF_8)[1:-1]}" in done.stderr
         assert "is not UTF-8" in done.stderr
     for command in (("check", f"{NOT_UTF_8}.yaml"), ("report", ".", "-o", "fleet.html")):

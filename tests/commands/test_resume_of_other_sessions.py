@@ -18,13 +18,11 @@ READY = '{"answer": "ready"}\n'
 def sessions(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """S-1.yaml, a finished and an interrupted verification of it, and an interrupted measurement."""
     folder = tmp_path_factory.mktemp("sessions")
-    assert measure("--samples", "3", cwd=folder).returncode == 0
+    measure("--samples", "3", cwd=folder, code=0)
     verify = ("verify", "S-1.yaml", "--address", "sim:?seed=1", "--samples", "3")
-    assert tiltcal(*verify, "--operator", "sim", "--journal", "v.jsonl", cwd=folder).returncode == 0
-    stopped = tiltcal(*verify, "--operator", "json", "--journal", "v-stopped.jsonl", cwd=folder, said=READY * 2)
-    assert stopped.returncode == 130
-    begun = measure("--operator", "json", "-o", "S-2.yaml", "--journal", "m-stopped.jsonl", cwd=folder, said=READY)
-    assert begun.returncode == 130
+    tiltcal(*verify, "--operator", "sim", "--journal", "v.jsonl", cwd=folder, code=0)
+    tiltcal(*verify, "--operator", "json", "--journal", "v-stopped.jsonl", cwd=folder, said=READY * 2, code=130)
+    measure("--operator", "json", "-o", "S-2.yaml", "--journal", "m-stopped.jsonl", cwd=folder, said=READY, code=130)
     text = (folder / "S-1.yaml").read_text()
     (folder / "S-9.yaml").write_text(text.replace("serial: S-1", "serial: S-9"))
     shutil.copy(FIXTURES / "rotation.journal.jsonl", folder / "rotation.jsonl")
@@ -36,19 +34,17 @@ def unplugged(*_: object) -> NoReturn:
 
 
 def replayed_verdict(folder: Path, journal: str) -> dict:
-    done = tiltcal("verify", "S-1.yaml", "--resume", journal, "--operator", "sim", "--json", cwd=folder)
-    assert done.returncode == 0, done.stderr
+    done = tiltcal("verify", "S-1.yaml", "--resume", journal, "--operator", "sim", "--json", cwd=folder, code=0)
     return json.loads(done.stdout)
 
 
 def test_a_finished_verification_is_replayed(sessions: Path) -> None:
-    done = tiltcal("replay", "v.jsonl", "--samples", "v.csv", cwd=sessions)
-    assert (done.returncode, done.stdout) == (0, ""), done.stderr
+    done = tiltcal("replay", "v.jsonl", "--samples", "v.csv", cwd=sessions, code=0)
+    assert done.stdout == "", done.stderr
     assert "tiltcal verify CAL --resume v.jsonl" in done.stderr
     assert len((sessions / "v.csv").read_text().splitlines()) > 6 * 3
     assert replayed_verdict(sessions, "v.jsonl")["passed"] is True
-    refused = tiltcal("replay", "v.jsonl", "-o", "v.yaml", cwd=sessions)
-    assert refused.returncode == 2
+    refused = tiltcal("replay", "v.jsonl", "-o", "v.yaml", cwd=sessions, code=2)
     assert "a verification, which makes no calibration file" in refused.stderr
 
 
@@ -71,8 +67,8 @@ def test_a_sensor_that_is_still_unplugged(
     before = (tmp_path / journal).read_bytes()
     monkeypatch.setattr("tiltcal.bench.devices.open_device", unplugged)
     go_on = (*command.split(), "--resume", journal)
-    done = tiltcal(*go_on, "--operator", "json", cwd=tmp_path)
-    assert (done.returncode, done.stdout) == (3, "")
+    done = tiltcal(*go_on, "--operator", "json", cwd=tmp_path, code=3)
+    assert done.stdout == ""
     kept = f"everything measured is kept; continue with: tiltcal {' '.join(go_on)}"
     assert done.stderr.splitlines()[-1] == f"tiltcal: no device; {kept}"
     assert (tmp_path / journal).read_bytes() == before
@@ -99,8 +95,7 @@ def test_a_journal_with_its_end_needs_no_sensor(
     """The file is made again at a desk: no device is asked, and the journal may be write-protected."""
     shutil.copy(sessions / "S-1.journal.jsonl", tmp_path)
     monkeypatch.setattr("tiltcal.bench.devices.open_device", unplugged)
-    done = tiltcal("measure", "--resume", "S-1.journal.jsonl", "--operator", "sim", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
+    tiltcal("measure", "--resume", "S-1.journal.jsonl", "--operator", "sim", cwd=tmp_path, code=0)
     assert (tmp_path / "S-1.yaml").read_bytes() == (sessions / "S-1.yaml").read_bytes()
     assert replayed_verdict(sessions, "v.jsonl")["passed"] is True
 
@@ -120,9 +115,7 @@ def test_a_journal_replaces_no_file_of_a_stranger(sessions: Path, tmp_path: Path
         ("replay", "S-1.journal.jsonl", "-o", "S-1.yaml"),
         ("replay", "rotation.jsonl", "-o", "S-1.yaml"),
     ):
-        refused = tiltcal(*command, cwd=tmp_path)
-        assert refused.returncode == 2, command
-        assert "the file there is " in refused.stderr
+        assert "the file there is " in tiltcal(*command, cwd=tmp_path, code=2).stderr
     assert (tmp_path / "S-1.yaml").read_text() == (tmp_path / "S-2.yaml").read_text() == strange
 
 
@@ -131,8 +124,7 @@ def test_a_journal_replaces_its_calibration(sessions: Path, tmp_path: Path) -> N
     own = (tmp_path / "S-1.yaml").read_bytes()
     (tmp_path / "S-1.yaml").write_bytes(own.replace(b"operator: sim", b"operator: me"))
     for _ in range(2):
-        assert tiltcal("replay", "S-1.journal.jsonl", "-o", "S-1.yaml", cwd=tmp_path).returncode == 0
+        tiltcal("replay", "S-1.journal.jsonl", "-o", "S-1.yaml", cwd=tmp_path, code=0)
         assert (tmp_path / "S-1.yaml").read_bytes() == own
     for _ in range(2):
-        replayed = tiltcal("replay", "rotation.jsonl", "-o", "pairs.yaml", cwd=tmp_path)
-        assert replayed.returncode == 0, replayed.stderr
+        tiltcal("replay", "rotation.jsonl", "-o", "pairs.yaml", cwd=tmp_path, code=0)

@@ -18,7 +18,9 @@ TILTCAL = [sys.executable, "-m", "tiltcal"]
 Completed = subprocess.CompletedProcess
 
 
-def tiltcal(*args: str | Path, cwd: Path | None = None, said: str = "", merged: bool = False) -> Completed:
+def tiltcal(
+    *args: str | Path, cwd: Path | None = None, said: str = "", merged: bool = False, code: int | None = None
+) -> Completed:
     """Call the command line in this process, and return its exit code and what it printed.
 
     A process of its own takes a second to start, and tells no more unless the test is about the process: a signal, a
@@ -30,10 +32,14 @@ def tiltcal(*args: str | Path, cwd: Path | None = None, said: str = "", merged: 
         Standard input, which is a pipe.
     merged
         Standard error goes where standard output goes.
+    code
+        The exit code that the command must have.
     """
     with _printed() as stdout, _printed() as stderr, _pipe(said) as stdin:
-        code = called(args, cwd, stdin, stdout, stdout if merged else stderr)
-        return Completed(["tiltcal", *map(str, args)], code, _text(stdout), _text(stderr))
+        found = called(args, cwd, stdin, stdout, stdout if merged else stderr)
+        done = Completed(["tiltcal", *map(str, args)], found, _text(stdout), _text(stderr))
+    assert code in (None, found), f"{' '.join(done.args)}: exit code {found}\n{done.stdout}{done.stderr}"
+    return done
 
 
 def called(
@@ -58,10 +64,12 @@ def loaded_by(statement: str) -> set[str]:
     return set(done.stdout.splitlines()[-1].split()[1:])
 
 
-def measure(*args: str | Path, cwd: Path, procedure: str = "plane", said: str = "") -> Completed:
+def measure(
+    *args: str | Path, cwd: Path, procedure: str = "plane", said: str = "", code: int | None = None
+) -> Completed:
     """Measure a virtual SCA100T-D02 with the virtual jig, into S-1.yaml; later options override earlier ones."""
     options = ["--sensor", "sca100t-d02", "--address", "sim:?seed=1", "--serial", "S-1", "-o", "S-1.yaml"]
-    return tiltcal("measure", procedure, *options, "--operator", "sim", *args, cwd=cwd, said=said)
+    return tiltcal("measure", procedure, *options, "--operator", "sim", *args, cwd=cwd, said=said, code=code)
 
 
 @contextmanager
