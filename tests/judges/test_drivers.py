@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import re
-import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import Any, NamedTuple
 
 import pytest
 from kernel.accelerometers import JUDGED as LINUX
+from support.virtual_device import Line
+
+from tiltcal.drivers import scl3300
 
 from .boards import Board, G, foreign
 from .test_johnny_five import CASES
@@ -90,7 +93,6 @@ class Judge(NamedTuple):
     unit: 1 g in the driver's unit; 0 where it gives counts.
     near: largest relative difference between its sensitivity and ours, where it rounds or takes another one.
     digit: of what it prints, in its unit.
-    after: ``after(module, sensor)`` says whether it finds what our driver has to set up beside the range.
     """
 
     model: str
@@ -103,26 +105,11 @@ class Judge(NamedTuple):
     digit: float = 0.0
     values: Callable[[Any], Sequence[float]] = lambda sensor: sensor.acceleration
     celsius: Callable[[Any], float | None] = lambda sensor: None
-    after: Callable[[Any, Any], bool] = lambda module, sensor: True
 
 
 def halved(counts: float, words: Sequence[str] = ACCELEROMETER) -> dict[str, float]:
     """From that of ±2 g."""
     return {word: counts * 2.0 / float(word[:-1]) for word in words}
-
-
-def finds(setting: str, name: str) -> Any:
-    """Return whether a driver finds a register with a value that it has a name for."""
-
-    def found(module: Any, sensor: Any) -> bool:
-        kind, _, word = name.rpartition(".")
-        return bool(getattr(sensor, setting) == getattr(getattr(module, kind) if kind else module, word))
-
-    return found
-
-
-def at_104_hz(module: Any, sensor: Any) -> bool:
-    return bool(sensor.accelerometer_data_rate == sys.modules["adafruit_lsm6ds"].Rate.RATE_104_HZ)
 
 
 def celsius(sensor: Any) -> float:
@@ -139,7 +126,6 @@ JUDGES = (
         by_adafruit("ADXL345"),
         dict.fromkeys(ACCELEROMETER, 250.0),
         near=0.03,
-        after=finds("data_rate", "DataRate.RATE_100_HZ"),
     ),
     # It takes the 1, 2, 4 and 12 mg of a digit to be 1/16 of 1/16380 g and so on, and 1 g to be 9.806 m/s².
     Judge(
@@ -149,7 +135,6 @@ JUDGES = (
         SIXTEENTHS,
         9.806,
         near=0.03,
-        after=finds("data_rate", "DATARATE_100_HZ"),
     ),
     Judge(
         "lis3dh",
@@ -159,7 +144,6 @@ JUDGES = (
         9.806,
         "s",
         near=0.03,
-        after=finds("data_rate", "DATARATE_100_HZ"),
     ),
     Judge(
         "mpu6050",
@@ -167,16 +151,12 @@ JUDGES = (
         by_adafruit("MPU6050", "accelerometer_range"),
         halved(16384.0),
         celsius=celsius,
-        after=lambda module, sensor: (
-            (sensor.sample_rate_divisor, sensor.filter_bandwidth) == (9, module.Bandwidth.BAND_44_HZ)
-        ),
     ),
     Judge(
         "icm20948",
         "adafruit_icm20x",
         adafruits_icm20948,
         halved(16384.0),
-        after=finds("accel_dlpf_cutoff", "AccelDLPFFreq.FREQ_50_4HZ_3DB"),
     ),
     Judge(
         "icm20948",
@@ -210,7 +190,6 @@ JUDGES = (
         by_adafruit("BMI160", "acceleration_range", BMI.__getitem__),
         halved(16384.0),
         celsius=celsius,
-        after=finds("_acc_odr", "BANDWIDTH_100"),
     ),
     Judge(
         "bmi160",
@@ -227,7 +206,6 @@ JUDGES = (
         with_codes(LSM, "LSM6DS3TRC"),
         halved(1e3 / 0.061),
         celsius=celsius,
-        after=at_104_hz,
     ),
     Judge(
         "lsm6dsox",
@@ -235,10 +213,9 @@ JUDGES = (
         with_codes(LSM, "LSM6DSOX"),
         halved(1e3 / 0.061),
         celsius=celsius,
-        after=at_104_hz,
     ),
     # It takes the LSM6DS3's 16 counts for 1 °C to be 256, as its successors have.
-    Judge("lsm6ds3", "adafruit_lsm6ds.lsm6ds33", with_codes(LSM, "LSM6DS33"), halved(1e3 / 0.061), after=at_104_hz),
+    Judge("lsm6ds3", "adafruit_lsm6ds.lsm6ds33", with_codes(LSM, "LSM6DS33"), halved(1e3 / 0.061)),
     # An IIS2ICLX as its sibling with the same registers, codes and identity; only the counts are its own.
     Judge(
         "iis2iclx",
@@ -248,14 +225,12 @@ JUDGES = (
         0.0,
         values=lambda sensor: sensor._raw_accel_data[:2],
         celsius=celsius,
-        after=lambda module, sensor: at_104_hz(module, sensor) and sensor._bdu,
     ),
     Judge(
         "mma8451",
         "adafruit_mma8451",
         by_adafruit("MMA8451"),
         halved(4096.0, ACCELEROMETER[:3]),
-        after=finds("data_rate", "DATARATE_100HZ"),
     ),
     # It takes the part's 12 bits for 14.
     Judge(
@@ -263,7 +238,6 @@ JUDGES = (
         "adafruit_msa3xx",
         by_adafruit("MSA311"),
         halved(1024.0),
-        after=finds("data_rate", "DataRate.RATE_125_HZ"),
     ),
     # 3.9 µg a digit.
     Judge(
@@ -300,7 +274,6 @@ def test_it_reads_the_truth(judge: Judge, letter: str, word: str, monkeypatch: p
         for ours in (None, board.model.driver(board.part, board.clock)):
             if ours:
                 reading = ours.read()
-                assert judge.after(module, sensor)
             read = [value * counts for value in judge.values(sensor)]
             assert read == pytest.approx(board.counts(), abs=0.51 + judge.digit * counts / 2)
             if (celsius := judge.celsius(sensor)) is not None:
@@ -310,14 +283,122 @@ def test_it_reads_the_truth(judge: Judge, letter: str, word: str, monkeypatch: p
         assert judge.counts[word] == pytest.approx(board.model.sensitivity, rel=judge.near)
 
 
-def test_the_rates_of_an_icm20948_have_its_codes(monkeypatch: pytest.MonkeyPatch) -> None:
-    for rate in (1125.0, 562.5, 225.0, 112.5, 45.0, 22.5, 9.0, 4.5):
-        board = Board("icm20948", f"rate={rate}")
+class SetUp(NamedTuple):
+    """What our driver sets up, as a driver by another hand has it.
+
+    name: where its names of registers are.
+    registers: those that our driver writes, in order: - has no name there, = has the content that it leaves itself.
+    rates: those of our driver, with the codes or their names; and what it reads back.
+    """
+
+    name: str
+    registers: str
+    rates: dict[float, Any]
+    rate: Callable[[Any], float] = lambda sensor: sensor.data_rate
+    also: Callable[[Any, Any], bool] = lambda module, sensor: True
+
+
+def rates(name: str, words: str) -> dict[float, Any]:
+    """By the number in a name."""
+    return {float(word.replace("_", ".")): name.format(word) for word in words.split()}
+
+
+def accelerometer_data_rate(sensor: Any) -> float:
+    return float(sensor.accelerometer_data_rate)
+
+
+LSM_RATES = rates("adafruit_lsm6ds:Rate.RATE_{}_HZ", "12_5 26 52 104 208 416 833")
+LSM_SET_UP = SetUp(
+    "adafruit_lsm6ds:_LSM6DS_",
+    "CTRL3_C CTRL3_C CTRL1_XL",
+    LSM_RATES,
+    accelerometer_data_rate,
+    lambda module, sensor: sensor._bdu,
+)
+SET_UP = {
+    "adafruit_adxl34x": SetUp(
+        "adafruit_adxl34x:_REG_",
+        "POWER_CTL= OFSX OFSY OFSZ INT_ENABLE= FIFO_CTL BW_RATE DATA_FORMAT= POWER_CTL=",
+        rates("adafruit_adxl34x:DataRate.RATE_{}_HZ", "3200 1600 800 400 200 100 50 25 12_5")
+        | {6.25: "adafruit_adxl34x:DataRate.RATE_6_25HZ"},
+    ),
+    "adafruit_lis3dh": SetUp(
+        "adafruit_lis3dh:_REG_",
+        "- CTRL5 CTRL4= CTRL1",
+        rates("adafruit_lis3dh:DATARATE_{}_HZ", "1 10 25 50 100 200 400 1344"),
+    ),
+    "adafruit_mpu6050": SetUp(
+        "adafruit_mpu6050:_MPU6050_",
+        "PWR_MGMT_1= PWR_MGMT_1= SMPLRT_DIV CONFIG ACCEL_CONFIG=",
+        {1000.0 / (1 + divisor): divisor for divisor in (0, 1, 3, 4, 7, 9, 19, 39, 49, 99, 199, 249)},
+        lambda sensor: sensor.sample_rate_divisor,
+        lambda module, sensor: sensor.filter_bandwidth == module.Bandwidth.BAND_44_HZ,
+    ),
+    "adafruit_icm20x": SetUp(
+        "adafruit_icm20x:_ICM20X_",
+        "REG_BANK_SEL= PWR_MGMT_1= PWR_MGMT_1= REG_BANK_SEL= ACCEL_SMPLRT_DIV_2 ACCEL_CONFIG_1 REG_BANK_SEL=",
+        {rate: rate for rate in (1125.0, 562.5, 225.0, 112.5, 45.0, 22.5, 9.0, 4.5)},
+        accelerometer_data_rate,
+        lambda module, sensor: sensor.accel_dlpf_cutoff == module.AccelDLPFFreq.FREQ_50_4HZ_3DB,
+    ),
+    "FaBo9Axis_MPU9250.MPU9250": SetUp(
+        "FaBo9Axis_MPU9250.MPU9250:",
+        "PWR_MGMT_1= PWR_MGMT_1= SMPLRT_DIV CONFIG= ACCEL_CONFIG= ACCEL_CONFIG_2=",
+        {100.0: None},
+        lambda sensor: None,
+    ),
+    "bmi160": SetUp(
+        "bmi160:_",
+        "COMMAND COMMAND ACCEL_CONFIG ACC_RANGE=",
+        rates("bmi160:BANDWIDTH_{}", "25 50 100 200 400 800 1600") | {12.5: "bmi160:BANDWIDTH_25_2"},
+        lambda sensor: sensor._acc_odr,
+    ),
+    **{f"adafruit_lsm6ds.{name}": LSM_SET_UP for name in ("lsm6ds33", "lsm6ds3trc", "lsm6dsox")},
+    "adafruit_lsm6ds.ism330dhcx": LSM_SET_UP._replace(registers="CTRL3_C CTRL9_XL CTRL3_C= CTRL1_XL"),
+    "adafruit_mma8451": SetUp(
+        "adafruit_mma8451:_MMA8451_REG_",
+        "CTRL_REG1 - - - - XYZ_DATA_CFG= CTRL_REG2= CTRL_REG1",
+        rates("adafruit_mma8451:DATARATE_{}HZ", "800 400 200 100 50 12_5 6_25 1_56"),
+    ),
+    "adafruit_msa3xx": SetUp(
+        "adafruit_msa3xx:_REG_",
+        "- POWERMODE ODR RESRANGE=",
+        rates("adafruit_msa3xx:DataRate.RATE_{}_HZ", "3_9 7_81 15_63 31_25 62_5 125 250 500 1000"),
+    ),
+    "adxl355": SetUp(
+        "adxl355:Register.",
+        "RESET FILTER RANGE= POWER_CTL=",
+        rates("adxl355:ODR.HZ_{}", "4000 2000 1000 500 250 125 62_5 31_25 15_625 7_813 3_906"),
+        lambda sensor: sensor._read_reg(0x28),
+    ),
+}
+
+
+@pytest.mark.parametrize("module", SET_UP)
+def test_it_finds_what_our_driver_has_set_up(module: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    judge, set_up = next(one for one in JUDGES if one.module == module), SET_UP[module]
+    for rate, code in set_up.rates.items():
+        # Some of them are too fast for I2C.
+        board = Board(judge.model, f"rate={rate}")
         board.install(monkeypatch)
-        with foreign("adafruit_icm20x") as module:
-            sensor = adafruits_icm20948(module, board, "2g")
-            board.model.driver(board.part, board.clock).read()
-            assert sensor.accelerometer_data_rate == rate
+        with foreign(module) as theirs:
+            sensor = judge.open(theirs, board, next(iter(judge.counts)))
+            left = dict(board.part._held)
+            line = Line(board.part, board.clock)
+            board.model.driver(line, board.clock).read()
+            written = [out[0] for out, _, _ in line.sent if len(out) == 2]
+            for register, name in zip(written, set_up.registers.split(), strict=True):
+                assert name == "-" or register == resolve_name(set_up.name + name.rstrip("=")), name
+                assert not name.endswith("=") or board.part._held.get(register) == left.get(register), name
+            assert set_up.rate(sensor) == (resolve_name(code) if isinstance(code, str) else code), rate
+            assert set_up.also(theirs, sensor)
+        assert board.part._part.sampling.rate == pytest.approx(rate, rel=2e-3)
+
+
+def test_every_frame_of_an_scl3300_has_the_checksum_of_another_hand() -> None:
+    with foreign("crccheck.crc") as theirs:
+        for frame in (*scl3300.MODES, *(value for value in vars(scl3300).values() if isinstance(value, bytes))):
+            assert theirs.Crc8SaeJ1850.calc(frame[:3]) == frame[3], frame.hex()
 
 
 WHOSE = {
