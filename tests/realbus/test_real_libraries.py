@@ -1,38 +1,43 @@
-"""Two parts that were written apart from the drivers, behind the real python-spidev and the real smbus2.
+"""Two virtual parts behind the real python-spidev and the real smbus2.
 
 One suite runs over both buses: what a driver asks of a link holds on each.
 """
 
 import errno
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import pytest
 from support import ROOT
-from support.emulated.bench import DEVICE, I2C_BUS, Message, run_on
-from support.sca3000_part import Sca3000Part
+from support.emulated.bench import DEVICE, I2C_BUS, SCA3000, Message, run_on
 
 READ = [sys.executable, str(ROOT / "tests" / "support" / "emulated" / "read_sensor.py")]
 SCA100T = [*READ, "sca100t-d02", f"spi://{DEVICE}"]
-QUIET = Sca3000Part(noise=0.0, jig=0.0)
+QUIET = replace(SCA3000, noise={}, jig=0.0)
 
 
 @dataclass(frozen=True)
 class Wiring:
-    """A program that reads an SCA3000, how it is connected, what a sample sends, and the bytes before its data."""
+    """A program that reads an SCA3000, its model and address, what a sample sends, and the bytes before its data."""
 
     program: list[str]
-    address: int | None
+    part: tuple[str, int | None]
     sample: list[str]
     unknown: int
     device: str
 
 
-SPI = Wiring([*READ, "sca3000-d01", f"spi://{DEVICE}"], None, ["4c0000", "24000000000000", "0800", "5000"], 1, DEVICE)
+SPI = Wiring(
+    [*READ, "sca3000-d01", f"spi://{DEVICE}"],
+    ("sca3000-d01", None),
+    ["4c0000", "24000000000000", "0800", "5000"],
+    1,
+    DEVICE,
+)
 I2C = Wiring(
     [*READ, "sca3000-i2c", f"i2c://{I2C_BUS}?address=0x1d&counts_per_g=1333&thermometer=yes"],
-    0x1D,
+    ("sca3000-i2c?thermometer=yes", 0x1D),
     ["13", "09", "02", "14"],
     0,
     I2C_BUS,
@@ -52,7 +57,7 @@ def words(wiring: Wiring, message: Message) -> list[int]:
 
 
 def test_the_driver_reads_the_words_that_the_part_sent_and_never_writes(wiring: Wiring) -> None:
-    with run_on(wiring.program, Sca3000Part(), wiring.address) as bench:
+    with run_on(wiring.program, SCA3000, *wiring.part) as bench:
         bench.pose((0.48, -0.6, 0.64), 30.0)
         read = bench.ask("read 5")
         messages = bench.messages()
@@ -70,7 +75,7 @@ def test_the_driver_reads_the_words_that_the_part_sent_and_never_writes(wiring: 
 
 
 def test_a_failed_transfer_is_a_bus_error_and_a_new_link_may_work(wiring: Wiring) -> None:
-    with run_on(wiring.program, QUIET, wiring.address) as bench:
+    with run_on(wiring.program, QUIET, *wiring.part) as bench:
         before = bench.ask("read 1")
         bench.fail(errno.ENODEV)
         failed = bench.ask("read 1")

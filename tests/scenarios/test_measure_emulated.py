@@ -1,4 +1,4 @@
-"""Parts that were written apart from ours, behind the kernel's interfaces, are led through procedures by a program.
+"""Virtual parts behind the kernel's interfaces are led through procedures by a program.
 
 The bounds are those of a bench with a 0.01° jig. Of an SCA100T with 0.6 count of noise: offsets within 0.5 count and
 sensitivities within 0.9 count/g of the part's truth; of an SCA3000 with 1.5 count of noise 0.9 of both.
@@ -7,16 +7,16 @@ sensitivities within 0.9 count/g of the part's truth; of an SCA3000 with 1.5 cou
 import errno
 import signal
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from support.command import TILTCAL
-from support.emulated.bench import run_on
-from support.sca100t_part import Sca100tPart
-from support.sca3000_part import Sca3000Part
+from support.emulated.bench import SCA100T, SCA3000, coefficients, run_on, truth
 from support.warm_start import WarmStart
 
+from tiltcal.drivers.virtual import Truth
 from tiltcal.files.calibration import CalibrationRecord, read_calibration
 from tiltcal.files.procedure import find_procedure
 from tiltcal.journal.lines import Journal
@@ -24,8 +24,7 @@ from tiltcal.library.replay import replay
 
 pytest.importorskip("spidev", reason="the spidev package is not installed")
 
-FLAT = Sca100tPart(sensitivity=((817.4, 11.2, 0.0), (-7.9, 821.6, 0.0)))
-
+FLAT = truth(0.6, (1026.3, 817.4, 11.2, 0.0), (1020.8, -7.9, 821.6, 0.0))
 
 ON_SPI = ("--sensor", "sca100t-d02", "--address", "spi:///dev/spidev0.0")
 SCA3000_ON_SPI = ("--sensor", "sca3000-d01", "--address", "spi:///dev/spidev0.0")
@@ -39,20 +38,26 @@ def program(start: Sequence[str], procedure: str, folder: Path, *options: str) -
     ]
 
 
-def led(start: Sequence[str], procedure: str, folder: Path, part: Sca100tPart) -> CalibrationRecord:
-    with run_on(program(start, procedure, folder), part) as bench:
-        told = bench.lead()
-        assert bench.exit_code == 0, bench.errors()
-    assert told[-1]["event"] == "done"
-    assert told[-1]["calibrations"] == [str(folder / "S-0042.yaml")]
-    return read_calibration(folder / "S-0042.yaml")
+def near(file: Path, part: Truth, offset: float, sensitivity: float) -> CalibrationRecord:
+    """The calibration in a file, which is that of a part within these bounds."""
+    calibration = read_calibration(file)
+    for found, true, bound in zip(
+        (calibration.coefficients.offset, calibration.coefficients.sensitivity),
+        coefficients(part),
+        (offset, sensitivity),
+        strict=True,
+    ):
+        np.testing.assert_allclose(found, true, atol=bound)
+    return calibration
 
 
 def test_cross_axis(warm: WarmStart, tmp_path: Path) -> None:
-    part = Sca100tPart()
-    calibration = led(warm.program, "cross-axis", tmp_path, part)
-    np.testing.assert_allclose(calibration.coefficients.offset, part.offset, atol=0.5)
-    np.testing.assert_allclose(calibration.coefficients.sensitivity, part.sensitivity, atol=0.9)
+    with run_on(program(warm.program, "cross-axis", tmp_path)) as bench:
+        told = bench.lead()
+        assert bench.exit_code == 0, bench.errors()
+    assert told[-1]["event"] == "done"
+    assert told[-1]["calibrations"] == [str(tmp_path / "S-0042.yaml")]
+    calibration = near(tmp_path / "S-0042.yaml", SCA100T, 0.5, 0.9)
     # Eq. 1 on the part's truth: sqrt(11.2² + 3.5²) / 817.4 and sqrt(7.9² + 5.1²) / 821.6.
     assert calibration.derived.cross_axis_percent["x"] == pytest.approx(1.4356, abs=0.15)
     assert calibration.derived.cross_axis_percent["y"] == pytest.approx(1.1445, abs=0.15)
@@ -86,8 +91,7 @@ def test_unplugged_in_mid_session_and_plugged_in_again(warm: WarmStart, tmp_path
         bench.fail(0)
         bench.lead()
         assert bench.exit_code == 0, bench.errors()
-    found = read_calibration(tmp_path / "S-0042.yaml").coefficients
-    np.testing.assert_allclose(found.offset, FLAT.offset, atol=0.7)
+    near(tmp_path / "S-0042.yaml", FLAT, 0.7, 1.0)
     # What went wrong on the bus is in the journal, and replays.
     events = Journal(tmp_path / "S-0042.journal.jsonl")
     assert any(event.kind == "!" for event in events)
@@ -110,32 +114,28 @@ def test_killed_on_the_real_bus_and_resumed(warm: WarmStart, tmp_path: Path) -> 
     assert [message["position"] for message in told if "ask" in message] == ["y-tilt1", "y-tilt2"]
     assert told[-1]["event"] == "done"
     assert journal.read_bytes()[: before.rfind(b"\n") + 1] == before[: before.rfind(b"\n") + 1]
-    found = read_calibration(tmp_path / "S-0042.yaml").coefficients
-    np.testing.assert_allclose(found.offset, FLAT.offset, atol=0.7)
+    near(tmp_path / "S-0042.yaml", FLAT, 0.7, 1.0)
     assert [event.kind for event in Journal(journal)].count("resumed") == 1
     assert replay(journal).texts == {"S-0042.yaml": (tmp_path / "S-0042.yaml").read_text(encoding="utf-8")}
 
 
 def test_six_face_on_spi_and_on_i2c(warm: WarmStart, tmp_path: Path) -> None:
     pytest.importorskip("smbus2", reason="the smbus2 package is not installed")
-    with run_on(program(TILTCAL, "six-face", tmp_path, *SCA3000_ON_SPI), Sca3000Part()) as bench:
-        bench.lead()
-        assert bench.exit_code == 0, bench.errors()
-    found = read_calibration(tmp_path / "S-0042.yaml")
-    # The part's own thermometer: 24 °C is raw 257.8, sent as 258, read as 24.1 °C.
-    assert [position.temperature for position in found.positions] == pytest.approx([24.11] * 6, abs=0.01)
-    part = Sca3000Part(thermometer=False, seed=2)
-    (tmp_path / "S-0042.yaml").unlink()  # the calibration of another model is never replaced
-    with run_on(program(warm.program, "six-face", tmp_path, *SCA3000_ON_I2C), part, 0x1D) as bench:
-        bench.lead()
-        assert bench.exit_code == 0, bench.errors()
-    on_i2c = read_calibration(tmp_path / "S-0042.yaml")
-    for truth, coefficients in ((Sca3000Part(), found.coefficients), (part, on_i2c.coefficients)):
-        np.testing.assert_allclose(coefficients.offset, truth.offset, atol=0.9)
-        np.testing.assert_allclose(coefficients.sensitivity, truth.sensitivity, atol=0.9)
+    for start, options, part, *where in (
+        (TILTCAL, SCA3000_ON_SPI, SCA3000, "sca3000-d01"),
+        (warm.program, SCA3000_ON_I2C, replace(SCA3000, seed=2), "sca3000-i2c", 0x1D),
+    ):
+        with run_on(program(start, "six-face", tmp_path, *options), part, *where) as bench:
+            bench.lead()
+            assert bench.exit_code == 0, bench.errors()
+        found = near(tmp_path / "S-0042.yaml", part, 0.9, 0.9)
+        if options is SCA3000_ON_SPI:
+            # The part's own thermometer: 24 °C is raw 257.8, sent as 258, read as 24.1 °C.
+            assert [position.temperature for position in found.positions] == pytest.approx([24.11] * 6, abs=0.01)
+        (tmp_path / "S-0042.yaml").unlink()  # the calibration of another model is never replaced
 
 
-BY_HAND = Sca3000Part(jig=6.0, noise=1.5, seed=8)
+BY_HAND = replace(SCA3000, jig=6.0, seed=8)
 
 
 def angles(sensitivity: np.ndarray) -> np.ndarray:
@@ -148,16 +148,17 @@ def test_positions_that_nobody_sets(warm: WarmStart, tmp_path: Path) -> None:
     """Several degrees beside each position. What does not depend on how the part lay comes out right: the offsets,
     the length of each row of the sensitivity matrix, and the angles between the rows."""
     free = ("--settle", "0.12", "--samples", "40", *SCA3000_ON_SPI)
-    with run_on(program(warm.program, "free", tmp_path, *free), BY_HAND) as bench:
+    with run_on(program(warm.program, "free", tmp_path, *free), BY_HAND, "sca3000-d01") as bench:
         told = bench.lead()
         assert bench.exit_code == 0, bench.errors()
     accepted = [one["position"] for one in told if one.get("event") == "accepted"]
     assert accepted == [position.name for position in find_procedure("free").positions]
     found = read_calibration(tmp_path / "S-0042.yaml")
-    sensitivity, truth = found.coefficients.sensitivity, np.array(BY_HAND.sensitivity)
+    sensitivity, (offset, rows) = found.coefficients.sensitivity, coefficients(BY_HAND)
+    true = np.array(rows)
     # 1.5 count over 40 samples is 0.24 count; six positions tell of each unknown.
-    np.testing.assert_allclose(found.coefficients.offset, BY_HAND.offset, atol=0.6)
-    np.testing.assert_allclose(np.linalg.norm(sensitivity, axis=1), np.linalg.norm(truth, axis=1), atol=0.8)
-    np.testing.assert_allclose(angles(sensitivity), angles(truth), atol=0.05)
+    np.testing.assert_allclose(found.coefficients.offset, offset, atol=0.6)
+    np.testing.assert_allclose(np.linalg.norm(sensitivity, axis=1), np.linalg.norm(true, axis=1), atol=0.8)
+    np.testing.assert_allclose(angles(sensitivity), angles(true), atol=0.05)
     assert found.derived.mounting.startswith("undetermined")
     assert (found.fit.distinct_attitudes, found.fit.degrees_of_freedom) == (18, 18 - 9)

@@ -6,8 +6,8 @@
         events = bench.lead()       # takes every position that is asked for, answers "ready"
     assert bench.exit_code == 0
 
-The program uses the real bus library (python-spidev, smbus2) on a real device node; umockdev hands its ioctls to a part
-that was written apart from the drivers: see :mod:`support.held_part`.
+The program uses the real bus library (python-spidev, smbus2) on a real device node; umockdev hands its ioctls to a
+virtual part, which data sheets, public sketches and drivers by other hands judge elsewhere.
 """
 
 import json
@@ -26,13 +26,32 @@ from typing import IO, Any, NamedTuple
 
 import pytest
 
-from support.held_part import Held
-from support.sca100t_part import Sca100tPart
+from tiltcal.drivers.virtual import Truth
 
 HERE = Path(__file__).parent
 SYSTEM_PYTHON = "/usr/bin/python3"
 DEVICE = "/dev/spidev0.0"
 I2C_BUS = "/dev/i2c-1"
+
+
+def truth(noise: float, *rows: tuple[float, ...], **more: Any) -> Truth:
+    """The truth of a part: of each channel its offset (count at 24 °C), then its sensitivities (count/g) to x, y, z."""
+    named = dict(zip("xyz", rows, strict=False))
+    return Truth(
+        tuple(named),
+        {channel: row[0] for channel, row in named.items()},
+        {channel: dict(zip("xyz", row[1:], strict=True)) for channel, row in named.items()},
+        **{"reference": 24.0, "noise": dict.fromkeys(named, noise), "jig": 0.01, "seed": 1, **more},
+    )
+
+
+SCA100T = truth(0.6, (1026.3, 817.4, 11.2, -3.5), (1020.8, -7.9, 821.6, 5.1), drift={"x": (0.21,), "y": (-0.05,)})
+SCA3000 = truth(1.5, (31.4, 1341.2, 9.6, -14.3), (-18.7, -7.1, 1322.5, 11.8), (44.2, 5.9, -12.4, 1338.7))
+
+
+def coefficients(part: Truth) -> tuple[list[float], list[list[float]]]:
+    """Offsets and sensitivities, a row for each channel."""
+    return list(part.offset.values()), [list(row.values()) for row in part.sensitivity.values()]
 
 
 class Message(NamedTuple):
@@ -132,20 +151,22 @@ class Bench:
 
 @contextmanager
 def run_on(
-    program: Sequence[str | os.PathLike[str]], part: Held | None = None, address: int | None = None
+    program: Sequence[str | os.PathLike[str]],
+    part: Truth = SCA100T,
+    model: str = "sca100t-d02",
+    address: int | None = None,
 ) -> Iterator[Bench]:
     """Start a program on a machine with one device node, and wait for its end on leaving.
 
-    The node leads to a part, an SCA100T unless another is named: ``/dev/spidev0.0``, or ``/dev/i2c-1`` where the part
-    has a 7-bit address. A program that runs longer than two minutes is killed.
+    The node leads to a part of a model: ``/dev/spidev0.0``, or ``/dev/i2c-1`` where the part has a 7-bit address. A
+    program that runs longer than two minutes is killed.
     """
-    part = part or Sca100tPart()
     if why := missing():
         pytest.skip(why)
     ours, theirs = socket.socketpair()
     command = [
         *("umockdev-wrapper", SYSTEM_PYTHON, str(HERE / "host.py"), str(theirs.fileno()), json.dumps(address)),
-        *(type(part).__module__, type(part).__name__, json.dumps(asdict(part)), *map(str, program)),
+        *(model, json.dumps(asdict(part)), *map(str, program)),
     ]
     with (
         ours,

@@ -1,15 +1,15 @@
 """Runs a program on a machine that has an emulated device node.
 
-    umockdev-wrapper /usr/bin/python3 host.py CONTROL ADDRESS MODULE CLASS FACTS PROGRAM ARGUMENT...
+    umockdev-wrapper /usr/bin/python3 host.py CONTROL ADDRESS MODEL TRUTH PROGRAM ARGUMENT...
 
-CONTROL is the number of an inherited socket, ADDRESS that of the part on I2C, null on SPI. The part is made of a class
-and a JSON object of its facts.
+CONTROL is the number of an inherited socket, ADDRESS that of the part on I2C, null on SPI. The part is the virtual one
+of a model, with a JSON object as its truth.
 
 The program inherits the standard streams; its exit code becomes the host's. One JSON line on the control socket is one
 order, answered by one line once it is in force::
 
     {"pose": [gx, gy, gz], "temperature": 24.0 or null}
-    {"fault": errno or 0}      {"broken": true or false}
+    {"fault": errno or 0}      {"broken": true}
     {"messages": true}         -> {"messages": [[start_ns, end_ns, "out", "in"], ...], "settings": {...}}
     {"kill": signal}           to the program under test
 """
@@ -19,22 +19,40 @@ import os
 import socket
 import subprocess
 import sys
-from importlib import import_module
+import time
+from dataclasses import replace
+from math import inf
+from pathlib import Path
 
 import gi
 
-sys.path.insert(0, os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__)))))  # tests/
+sys.path.insert(0, str(Path(__file__).parents[3]))
 
 gi.require_version("UMockdev", "1.0")
 from gi.repository import GLib, UMockdev  # noqa: E402
 from i2c_node import I2cNode  # noqa: E402
 from spidev_node import SpidevNode  # noqa: E402
 
+from tiltcal.drivers import find_model  # noqa: E402
+from tiltcal.drivers.bus.address import parse_address  # noqa: E402
+from tiltcal.drivers.bus.clock import SystemClock  # noqa: E402
+from tiltcal.drivers.virtual import Fault, Fixture, Truth  # noqa: E402
+
 Node = SpidevNode | I2cNode
 
 
-def main(control: str, address: str, module: str, kind: str, facts: str, *program: str) -> int:
-    part = getattr(import_module(module), kind)(**json.loads(facts))
+class Now(SystemClock):
+    """The machine's time; the bits of a message are over when it is answered."""
+
+    def sleep(self, seconds: float) -> None:
+        pass
+
+
+def main(control: str, address: str, model: str, facts: str, *program: str) -> int:
+    name, _, options = model.partition("?")
+    truth, clock = Truth(**json.loads(facts)), Now(time.time_ns())
+    fixture = Fixture(clock, seed=truth.seed, jig=truth.jig)
+    part = find_model(name).at(parse_address(f"sim:{options}")).twin(truth, fixture, clock)
     node = SpidevNode(part) if address == "null" else I2cNode(part, int(address))
     testbed = UMockdev.Testbed.new()
     testbed.add_from_string(
@@ -53,7 +71,7 @@ def main(control: str, address: str, module: str, kind: str, facts: str, *progra
         if not line:
             child.kill()
             return False
-        answer = obey(json.loads(line), node, child.pid)
+        answer = obey(json.loads(line), node, fixture, child.pid)
         lines.write(json.dumps(answer) + "\n")
         lines.flush()
         return True
@@ -69,14 +87,14 @@ def main(control: str, address: str, module: str, kind: str, facts: str, *progra
     return codes[0] if codes[0] >= 0 else 128 - codes[0]
 
 
-def obey(order: dict, node: Node, child: int) -> dict:
+def obey(order: dict, node: Node, fixture: Fixture, child: int) -> dict:
     """Carry out one order from the test."""
     if "pose" in order:
-        node.part.pose(order["pose"], order["temperature"])
+        fixture.move(tuple(order["pose"]), order["temperature"])
     if "fault" in order:
         node.fault = order["fault"]
     if "broken" in order:
-        node.part.broken = order["broken"]
+        node.part._truth = replace(node.part._truth, faults=(Fault("parity", 0.0, inf),))
     if "kill" in order:
         os.kill(child, order["kill"])
     if "messages" in order:

@@ -81,7 +81,7 @@ class I2cNode(UMockdev.IoctlBase):
         if self.fault or any(step.address != self.address for step in steps):
             client.complete(-1, self.fault or errno.EREMOTEIO)
             return
-        answers = [self.part.message(step.out, step.count, start) for step in steps]
+        answers = [self.part.exchange(step.out, step.count) for step in steps]
         out, back = (b"".join(parts) for parts in ([step.out for step in steps], answers))
         self.messages.append((start, time.monotonic_ns(), out.hex(), back.hex()))
         for step, buffer, answer in zip(steps, buffers, answers, strict=True):

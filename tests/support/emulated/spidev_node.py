@@ -69,7 +69,7 @@ class SpidevNode(UMockdev.IoctlBase):
             places.append((array.resolve(at + 8, length) if rx else None, len(out), length))
             out += sent
         end = time.monotonic_ns()
-        answer = self.part.transfer(out, start, end)
+        answer = self.part.exchange(out)
         for buffer, first, length in places:
             if buffer is not None:
                 buffer.update(0, answer[first : first + length])
