@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from html.parser import HTMLParser
+from typing import Any, BinaryIO
 from unittest.mock import patch
 
 VOID = {"br", "hr", "img", "input", "link", "meta"}
@@ -17,6 +18,26 @@ def undrawn() -> Iterator[None]:
     """Leave the figures of a page empty."""
     with patch("tiltcal.report.figure.save", lambda plot, stream, *style: stream.write(EMPTY)):
         yield
+
+
+@contextmanager
+def drawings() -> Iterator[dict[str, Any]]:
+    """Leave the figures of a page empty, and keep them by name as matplotlib has them, and how high they are."""
+    from matplotlib import rc_context
+    from matplotlib.figure import Figure
+
+    from tiltcal.report.figure import _STYLE
+
+    kept: dict[str, Any] = {}
+
+    def keep(plot: Any, stream: BinaryIO, width: float, height: float, salt: str = "tiltcal", *_: float) -> None:
+        with rc_context(_STYLE):
+            kept[salt.removeprefix("tiltcal-")] = figure = Figure(figsize=(width, height))
+            plot(figure)
+        stream.write(EMPTY)
+
+    with patch("tiltcal.report.figure.save", keep):
+        yield kept
 
 
 @dataclass

@@ -12,7 +12,7 @@ from tiltcal.calibration.tilt_uncertainty import USUAL, TiltUncertainty
 from tiltcal.core.model import Array, Thermal, polynomial
 from tiltcal.core.uncertain import NORMAL_FACTOR
 from tiltcal.files.calibration import CalibrationRecord
-from tiltcal.report.figure import BLUE, CHANNELS, GREY, INK, RED, SvgFigure, picture, write_figure
+from tiltcal.report.figure import BLUE, CHANNELS, GREY, INK, RED, THIN, SvgFigure, picture, without_ticks, write_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -33,19 +33,17 @@ def tilt_figure(calibration: CalibrationRecord, curves: Mapping[str, TiltUncerta
         for axis, curve in curves.items():
             colour, _, line = CHANNELS[axis]
             if curve.before is not None:
-                panels[0].plot(curve.tilt, curve.before, line, color=colour, linewidth=1.1)
-            panels[-1].plot(curve.tilt, curve.alone, line, color=colour, linewidth=1.3, label=f"tilt of {axis}")
-            panels[-1].plot(curve.tilt, curve.reading, line, color=colour, linewidth=0.5)
+                panels[0].plot(curve.tilt, curve.before, line, color=colour)
+            panels[-1].plot(curve.tilt, curve.alone, line, color=colour, label=f"tilt of {axis}")
+            panels[-1].plot(curve.tilt, curve.reading, line, color=colour, linewidth=THIN)
         if known:
-            panels[0].axhline(0.0, color=INK, linewidth=0.6)
+            panels[0].axhline(0.0, color=INK)
             panels[0].set_ylabel("error, data sheet [°]")
         panels[-1].set_ylabel("95 % interval, calibrated: ± [°]")
         panels[-1].set_ylim(bottom=0.0)
         panels[-1].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, borderaxespad=0.1)
         for panel in panels:
-            panel.axvline(0.0, color=GREY, linewidth=0.4, linestyle=":")
             panel.set_xlabel("tilt [°]")
-            panel.margins(x=0.01)
 
     sides = "Left: error of the tilt with the coefficients of the data sheet. Right: half" if known else "Half"
     return picture(
@@ -96,16 +94,15 @@ def _plot_residuals_of(panel: Axes, calibration: CalibrationRecord, positions: l
     # The first one where a name occurs twice: positions of a mounting come last and were not fitted.
     u = {one.position: (one.u or {}).get(channel, 0.0) for one in reversed(calibration.positions)}
     colour, mark, _ = CHANNELS[channel]
-    panel.axvline(0.0, color=INK, linewidth=0.6)
+    panel.axvline(0.0, color=INK)
     for row, name in enumerate(positions):
         value = residuals[name].get(channel)
         if value is not None:
-            panel.hlines(row, 0.0, value, color=GREY, linewidth=0.4)
+            panel.hlines(row, 0.0, value, color=GREY, linewidth=THIN)
             bar = NORMAL_FACTOR * u.get(name, 0.0)
-            panel.errorbar(value, row, xerr=bar, color=colour, marker=mark, markersize=3.2, linewidth=0.8)
+            panel.errorbar(value, row, xerr=bar, color=colour, marker=mark)
     panel.set_xlabel(f"residual of {channel} [{calibration.sensor.fitted_unit}]")
-    panel.tick_params(axis="y", length=0)
-    panel.spines["left"].set_visible(False)
+    without_ticks(panel)
 
 
 def temperature_figure(calibration: CalibrationRecord) -> SvgFigure | None:
@@ -135,7 +132,7 @@ def temperature_figure(calibration: CalibrationRecord) -> SvgFigure | None:
                 panels[1, column].set_ylabel(f"sensitivity of {channel} [%]")
             panels[-1, column].set_xlabel("temperature [°C]")
         for panel in panels.flat:
-            panel.axvline(thermal.reference, color=GREY, linewidth=0.6, linestyle=":")
+            panel.axvline(thermal.reference, color=GREY, linestyle=":")
             panel.ticklabel_format(useOffset=False)
 
     return picture(
@@ -154,7 +151,7 @@ def temperature_figure(calibration: CalibrationRecord) -> SvgFigure | None:
 def _plot_curve(panel: Axes, t: Array, curve: Array, half: Array | None, channel: str) -> None:
     if half is not None:
         panel.fill_between(t, curve - half, curve + half, color=CHANNELS[channel][0], alpha=0.18, linewidth=0)
-    panel.plot(t, curve, color=CHANNELS[channel][0], linewidth=1.1)
+    panel.plot(t, curve, color=CHANNELS[channel][0])
 
 
 def _plot_positions(panel: Axes, calibration: CalibrationRecord, thermal: Thermal, column: int) -> None:
@@ -169,8 +166,8 @@ def _plot_positions(panel: Axes, calibration: CalibrationRecord, thermal: Therma
     if fitted:
         t, residual = np.array(list(fitted.values())).T
         curve = calibration.coefficients.offset[column] + polynomial(thermal.drift[column], t - thermal.reference)
-        panel.plot(t, curve + residual, color=GREY, linewidth=0.4)
-        panel.plot(t, curve + residual, CHANNELS[channel][1], color=CHANNELS[channel][0], markersize=3.2)
+        panel.plot(t, curve + residual, color=GREY, linewidth=THIN)
+        panel.plot(t, curve + residual, CHANNELS[channel][1], color=CHANNELS[channel][0])
 
 
 def _half_width(calibration: CalibrationRecord, names: list[str], dt: Array, lowest: int) -> Array | None:
@@ -191,16 +188,14 @@ def draw_tilt_error(
     def plot(figure: Figure) -> None:
         panels = figure.subplots(len(before) + 1, 1, sharex=True, height_ratios=[*([2.0] * len(before)), 1.0])
         for panel, axis in zip(panels, before, strict=False):
-            panel.axhline(0.0, color=INK, linewidth=0.6)
-            panel.plot(time / 60, before[axis], color=RED, linewidth=0.9, label="data sheet's coefficients")
-            panel.plot(time / 60, after[axis], color=BLUE, linewidth=0.9, label="calibrated")
+            panel.axhline(0.0, color=INK)
+            panel.plot(time / 60, before[axis], color=RED, label="data sheet's coefficients")
+            panel.plot(time / 60, after[axis], color=BLUE, label="calibrated")
             panel.set_ylabel(f"error of {axis} tilt [°]")
         figure.suptitle(title, x=0.08, ha="left", fontsize=11)
         panels[0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, borderaxespad=0.1)
-        panels[-1].plot(time / 60, temperature, color=GREY, linewidth=1.2)
+        panels[-1].plot(time / 60, temperature, color=GREY)
         panels[-1].set_ylabel("T [°C]")
         panels[-1].set_xlabel("time [min]")
-        for panel in panels:
-            panel.margins(x=0.01)
 
     write_figure(path, 2.0 + 1.7 * len(before), plot)

@@ -16,11 +16,13 @@ from tiltcal.files.atomic import whole_file
 from tiltcal.report.numbers import SUPERSCRIPT
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     Plot = Callable[[Figure], None]
 
 WIDTH = 6.85  # width of a figure on the page, inches: A4 with margins of 18 mm
+THIN = 0.4  # width of a line that stands behind another one, points
 INK, GREY, BLUE, RED = "#000000", "#8a8a8a", "#1f6f8b", "#c0504d"
 
 CHANNELS = {"x": (BLUE, "o", "-"), "y": (RED, "s", "--"), "z": ("#4f6228", "^", ":")}
@@ -36,6 +38,10 @@ _STYLE: dict[Any, Any] = {
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.linewidth": 0.6,
+    "axes.xmargin": 0.01,
+    "lines.linewidth": 0.9,
+    "lines.markersize": 3.5,
+    "grid.color": "#dddddd",
     "xtick.major.width": 0.6,
     "ytick.major.width": 0.6,
     "legend.frameon": False,
@@ -93,6 +99,12 @@ def save(plot: Plot, stream: BinaryIO, width: float, height: float, salt: str = 
             axis.set_minor_formatter(LogFormatter())  # type: ignore[attr-defined]
         # Figure.savefig draws a figure with a layout twice, the first time for the layout alone.
         FigureCanvasSVG(figure).print_svg(stream, metadata={"Date": None, "Creator": "tiltcal"})  # type: ignore[no-untyped-call]
+
+
+def without_ticks(panel: Axes) -> None:
+    """Leave the vertical axis of a panel with its words alone."""
+    panel.tick_params(axis="y", length=0)
+    panel.spines["left"].set_visible(False)
 
 
 def _inline(svg: str, name: str, title: str, description: str) -> str:

@@ -17,7 +17,18 @@ from tiltcal.core.column_statistics import ColumnStatistics
 from tiltcal.core.model import Array
 from tiltcal.core.noise import ChannelNoise, NoiseScale
 from tiltcal.files.moments import LEAST_SECONDS, MOST_SECONDS
-from tiltcal.report.figure import BLUE, CHANNELS, GREY, INK, LEGEND, RED, SvgFigure, picture, write_figure
+from tiltcal.report.figure import (
+    BLUE,
+    CHANNELS,
+    GREY,
+    INK,
+    LEGEND,
+    RED,
+    SvgFigure,
+    picture,
+    without_ticks,
+    write_figure,
+)
 from tiltcal.report.numbers import at_place
 from tiltcal.report.tables import angle_words
 
@@ -65,24 +76,21 @@ def log_figure(log: ReportedLog, number: int) -> SvgFigure:
         for k, angle in enumerate(overview.angles):
             panel, beside = panels[k]
             low, high = overview.low[:, k], overview.high[:, k]
-            panel.fill_between(time, low, high, color=BLUE, linewidth=0.5, edgecolor=BLUE)
+            panel.fill_between(time, low, high, color=BLUE)
             if len(time) <= FEW:
-                panel.plot(time, low, ".", color=BLUE, markersize=4.0)
+                panel.plot(time, low, ".", color=BLUE)
             panel.set_ylabel(f"{angle_words(angle)} [°]")
-            panel.margins(x=0.0)
             edges, counts = overview.histogram(ANGLE_BINS)[k]
             if len(counts):
                 beside.stairs(counts, edges, orientation="horizontal", fill=True, color=GREY)
-            beside.spines["bottom"].set_visible(False)
             beside.set(xlim=(0.0, None), ylim=panel.get_ylim())
-            beside.tick_params(left=False, labelleft=False, bottom=False, labelbottom=False)
+            beside.set_axis_off()
         strip = panels[-1, 0]
         for share, colour, height in zip(overview.flagged.T, (GREY, RED), (0.45, 1.0), strict=True):
-            strip.vlines(time[share > 0.0], 0.0, height, color=colour, linewidth=max(0.6, FEW / (4.0 * len(time))))
+            strip.vlines(time[share > 0.0], 0.0, height, color=colour)
         strip.set(ylim=(0.0, 1.0), xlabel=label)
         strip.set_yticks([0.5], ["flags"])
-        strip.tick_params(axis="y", length=0)
-        strip.spines[["left", "bottom"]].set_visible(False)
+        without_ticks(strip)
         panels[-1, 1].set_axis_off()
 
     least, most = np.nanmin(overview.low, axis=0), np.nanmax(overview.high, axis=0)
@@ -131,16 +139,15 @@ def _plot_noise(panel: Axes, channel: str, noise: ChannelNoise, scale: NoiseScal
     described = np.geomspace(tau[noise.terms.first], tau[-1], 200)
     parts = noise.terms.parts(described)
     for name, part in parts.items() if len(parts) > 1 else ():
-        panel.plot(described, part, color=GREY, linewidth=0.9, linestyle=_DASHES[name], label=_NOISE[name])
+        panel.plot(described, part, color=GREY, linestyle=_DASHES[name], label=_NOISE[name])
     label = "sum" if len(parts) > 1 else _NOISE[next(iter(parts))]
     label += ", fitted" if noise.terms.follows else ", which does not follow it"
-    panel.plot(described, np.sqrt(noise.terms.variance(described)), color=RED, linewidth=1.2, label=label)
+    panel.plot(described, np.sqrt(noise.terms.variance(described)), color=RED, label=label)
     within = [deviation - noise.low, noise.high - deviation]
-    panel.errorbar(tau, deviation, within, fmt="o", markersize=3.5, elinewidth=0.9, color=BLUE, label="measured, 95 %")
+    panel.errorbar(tau, deviation, within, fmt="o", color=BLUE, label="measured, 95 %")
     limits = float(noise.low.min()) / 1.6, float(noise.high.max()) * 1.6
     panel.set(xscale="log", yscale="log", ylim=limits, ylabel=f"Allan deviation of {channel} [{scale.unit}]")
-    panel.grid(which="major", color="#dddddd", linewidth=0.6)
-    panel.set_axisbelow(True)
+    panel.grid()
     if channel in scale.per_g:
         factor = degrees(1.0 / scale.per_g[channel])
         beside = panel.twinx()
@@ -180,13 +187,12 @@ def draw_matching(path: Path, drawing: PairDrawing) -> None:
 
 def _plot_spectra(panel: Axes, drawing: PairDrawing) -> None:
     """Plot amplitude densities at all frequencies above 0, with a line at the spin frequency."""
-    panel.axvline(drawing.spin, color=INK, linewidth=0.8, linestyle=":", label="spin frequency")
+    panel.axvline(drawing.spin, color=INK, linestyle=":", label="spin frequency")
     for (name, density), colour in zip(drawing.densities.items(), _STAGES, strict=False):
-        panel.loglog(drawing.frequency[1:], density[1:] ** 0.5, color=colour, linewidth=0.9, label=name)
+        panel.loglog(drawing.frequency[1:], density[1:] ** 0.5, color=colour, label=name)
     panel.set_xlabel(f"frequency [{drawing.unit}]")
     panel.set_ylabel(f"amplitude density [reading/√({drawing.unit})]")
     panel.legend(**LEGEND)
-    panel.margins(x=0.01)
 
 
 def _plot_course(panel: Axes, drawing: PairDrawing) -> None:
@@ -196,14 +202,13 @@ def _plot_course(panel: Axes, drawing: PairDrawing) -> None:
     away = np.maximum(np.abs(course - np.tile(course[-1, 2:], 2)), least)
     for index, series in enumerate(("p, loops", "q, loops", "p, recursive", "q, recursive")):
         colour, style = _STAGES[1 + index // 2], "--" if index % 2 else "-"
-        panel.semilogy(np.arange(1, len(away) + 1), away[:, index], style, color=colour, linewidth=0.9, label=series)
+        panel.semilogy(np.arange(1, len(away) + 1), away[:, index], style, color=colour, label=series)
     if drawing.uncertainty:
-        panel.axhline(drawing.uncertainty, color=INK, linewidth=0.8, linestyle=":", label="stated uncertainty")
+        panel.axhline(drawing.uncertainty, color=INK, linestyle=":", label="stated uncertainty")
         panel.set_ylim(bottom=least)
     panel.set_xlabel("turns")
     panel.set_ylabel("distance from the end")
     panel.legend(**LEGEND)
-    panel.margins(x=0.01)
 
 
 def spectra_figure(name: str, number: int, drawing: PairDrawing) -> SvgFigure:
@@ -232,8 +237,7 @@ def distribution_figure(fleet: ModelFleet, number: int) -> SvgFigure | None:
                 _plot_row(panel, row, distribution)
             panel.set_yticks(range(len(rows)), [label(one.name).words for one in rows])
             panel.set_ylim(len(rows) - 0.4, -0.6)
-            panel.tick_params(axis="y", length=0)
-            panel.spines["left"].set_visible(False)
+            without_ticks(panel)
             units = {label(one.name, fleet.unit).unit for one in rows}
             panel.set_xlabel(f"{kind} [{units.pop()}]" if len(units) == 1 else kind)
 
@@ -258,11 +262,11 @@ def _plot_row(panel: Axes, row: int, distribution: CoefficientDistribution) -> N
     channel = next((part for part in distribution.name.split(".") if part in CHANNELS), "x")
     colour, mark, _ = CHANNELS[channel]
     middle, reach = distribution.median, 2.0 * distribution.spread
-    panel.plot([middle - reach, middle + reach], [row, row], color=GREY, linewidth=4.0, alpha=0.35)
-    panel.plot([middle, middle], [row - 0.28, row + 0.28], color=INK, linewidth=0.8)
+    panel.plot([middle - reach, middle + reach], [row, row], color=GREY, linewidth=4.0)
+    panel.plot(middle, row, "|", color=INK, markersize=9.0)
     # Every other dot stands a little lower, so that neighbours do not hide one another.
     aside = row + 0.11 * (np.argsort(np.argsort(values)) % 3 - 1)
-    panel.plot(values, aside, mark, color=colour, markersize=3.0, markeredgewidth=0.0, alpha=0.75)
+    panel.plot(values, aside, mark, color=colour)
     for serial in distribution.outliers:
         place = distribution.values[serial], row
         panel.plot(*place, "o", markersize=7.0, markerfacecolor="none", markeredgecolor=RED)
@@ -293,8 +297,7 @@ def change_figure(fleet: ModelFleet, number: int) -> SvgFigure | None:
 
 def _plot_changes(panel: Axes, fleet: ModelFleet, channel: str) -> None:
     colour, mark, _ = CHANNELS[channel]
-    style = {"color": colour, "marker": mark, "markersize": 2.5, "linewidth": 0.6, "elinewidth": 0.4, "alpha": 0.7}
-    panel.axhline(0.0, color=INK, linewidth=0.6)
+    panel.axhline(0.0, color=INK)
     for history in fleet.histories:
         series, coefficients = history.series(f"offset.{channel}"), history.calibrations[-1].record.coefficients
         if series is not None and len(series[0]) > 1 and channel in coefficients.axes:
@@ -302,6 +305,6 @@ def _plot_changes(panel: Axes, fleet: ModelFleet, channel: str) -> None:
             values, u = series
             dates = [calibration.date for calibration in history.calibrations]
             change = milligravity * (values - values[0])
-            panel.errorbar(dates, change, yerr=abs(milligravity) * u, **style)  # type: ignore[arg-type]
+            panel.errorbar(dates, change, yerr=abs(milligravity) * u, color=colour, marker=mark)  # type: ignore[arg-type]
     panel.tick_params(axis="x", labelrotation=30)
-    panel.set_title(channel, fontsize=8)
+    panel.set_title(channel)
