@@ -1,14 +1,59 @@
-"""Coefficients by their names, and at another reference temperature."""
+"""The reading of a channel and its derivatives, and coefficients at another reference temperature."""
+
+from itertools import product
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tiltcal.core.model import Coefficients, Thermal, referred
+from tiltcal.core.angle_readings import AngleReadings
+from tiltcal.core.model import AXES, Array, ChannelModel, Coefficients, Thermal, referred
 from tiltcal.core.uncertain import Uncertain, uncertain_at
 
 small = st.floats(-0.01, 0.01)
+
+
+def read(model: ChannelModel, theta: Array, up: Array, dt: Array) -> Array:
+    """The formulas of the model as its module writes them, shape (n,)."""
+    sensitivity, terms = np.zeros(3), list(theta[1 + len(model.axes) :])
+    sensitivity[[AXES.index(axis) for axis in model.axes]] = theta[1 : 1 + len(model.axes)]
+    drift = sum(terms.pop(0) * dt**k for k in range(1, model.drift + 1))
+    gain = sum(terms.pop(0) * dt**k for k in range(1, model.gain + 1))
+    signal = up @ sensitivity
+    if model.angles is not None:
+        size = np.linalg.norm(sensitivity)
+        sine = signal / size
+        if model.angles.euler and model.name == "y":  # the roll is the tilt of y over the cosine of the pitch
+            x = np.array([1.0, 0.0, 0.0]) - sensitivity[0] * sensitivity / size**2
+            sine = sine / np.sqrt(1.0 - (up @ x / np.linalg.norm(x)) ** 2)
+        signal = size * np.degrees(np.arcsin(sine))
+    own = sensitivity[AXES.index(model.name)]
+    bent = 1.0 + sum(share * (signal / own) ** k for k, share in enumerate(terms, start=1))
+    return np.asarray(theta[0] + drift + (1.0 + gain) * signal * bent)
+
+
+@pytest.mark.parametrize("name", AXES)
+@pytest.mark.parametrize("angles", [None, AngleReadings(), AngleReadings(euler=True)], ids=["g", "tilts", "euler"])
+def test_every_derivative_of_a_reading_is_that_of_differences(name: str, angles: AngleReadings | None) -> None:
+    rng = np.random.default_rng(6)
+    up = rng.normal(size=(12, 3))
+    up *= 0.8 / np.linalg.norm(up, axis=1, keepdims=True)  # where the arcsine is not steep
+    dt, h = rng.uniform(-20.0, 20.0, 12), 1e-6
+    for axes, drift, gain, bend in product((("x", "y", "z"), (name,)), (0, 1, 3), (0, 2), (0, 2)):
+        model = ChannelModel(name, axes, drift, gain, 0 if angles else bend, angles)
+        size = [1024.0, *(800.0 if axis == name else 30.0 for axis in axes)]
+        size += [0.2 / 20.0**k for k in range(drift)] + [1e-3 / 20.0**k for k in range(gain)] + [0.02] * bend
+        theta = np.array(size[: len(model.coefficients)]) * rng.uniform(0.5, 1.0, len(model.coefficients))
+        found = model.read(theta, up, dt)
+        np.testing.assert_allclose(found.value, read(model, theta, up, dt), rtol=1e-12)
+        step = 1e-4 * np.diag(np.abs(theta))
+        by_coefficient = [(read(model, theta + d, up, dt) - read(model, theta - d, up, dt)) / 2 / d.sum() for d in step]
+        by_gravity = [(read(model, theta, up + d, dt) - read(model, theta, up - d, dt)) / 2 / h for d in h * np.eye(3)]
+        by_dt = (read(model, theta, up, dt + 1e-3) - read(model, theta, up, dt - 1e-3)) / 2e-3
+        np.testing.assert_allclose(found.by_coefficient.T, by_coefficient, rtol=1e-5, atol=2e-3)
+        np.testing.assert_allclose(found.by_gravity.T, by_gravity, rtol=1e-5, atol=2e-2)
+        np.testing.assert_allclose(found.by_temperature, by_dt, rtol=1e-5, atol=1e-5)
 
 
 def part(reference: float, drift: list[float], gain: list[float], offset: float = 1000.0) -> Coefficients:
