@@ -115,16 +115,17 @@ def answer(draw: Random) -> None:
 @target(share=100)
 def head(draw: Random) -> None:
     """The first lines of a log of any kind: what is read are the numbers that csv and float read, within 2 s."""
-    from support.kinds_of_logs import KINDS, rows
+    from support.kinds_of_logs import ENCODINGS, KINDS, rows
 
     from tiltcal.dialect import kind_of
     from tiltcal.logs.formats import open_log
 
-    before, row, encoding = KINDS[draw.choice(list(KINDS))]
+    name = draw.choice(list(KINDS))
+    before, row = KINDS[name]
     some = islice(rows(), draw.choice((0, 1, 3, ROWS)))
     text = before + "".join(f"{row(one)}\n" for one in some)
     if draw.random() < 0.5:
-        Path("log.txt").write_bytes(damaged_bytes(draw, text.encode(encoding)))
+        Path("log.txt").write_bytes(damaged_bytes(draw, text.encode(ENCODINGS.get(name, "utf-8"))))
     else:
         Path("log.txt").write_bytes(damaged_table(draw, text))
     began = process_time()

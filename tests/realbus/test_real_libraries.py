@@ -1,4 +1,4 @@
-"""Two virtual parts behind the real python-spidev and the real smbus2.
+"""Two parts behind the real python-spidev and the real smbus2.
 
 One suite runs over both buses: what a driver asks of a link holds on each.
 """

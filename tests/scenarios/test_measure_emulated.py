@@ -1,4 +1,4 @@
-"""Virtual parts behind the kernel's interfaces are led through procedures by a program.
+"""Parts behind the kernel's interfaces, the SCA100T one written apart from ours, are led by a program.
 
 The bounds are those of a bench with a 0.01° jig. Of an SCA100T with 0.6 count of noise: offsets within 0.5 count and
 sensitivities within 0.9 count/g of the part's truth; of an SCA3000 with 1.5 count of noise 0.9 of both.

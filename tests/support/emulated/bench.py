@@ -6,8 +6,8 @@
         events = bench.lead()       # takes every position that is asked for, answers "ready"
     assert bench.exit_code == 0
 
-The program uses the real bus library (python-spidev, smbus2) on a real device node; umockdev hands its ioctls to a
-virtual part, which data sheets, public sketches and drivers by other hands judge elsewhere.
+The program uses the real bus library (python-spidev, smbus2) on a real device node; umockdev hands its ioctls to an
+SCA100T that was written apart from the drivers, or to a virtual part, which other hands judge elsewhere.
 """
 
 import json
@@ -153,13 +153,13 @@ class Bench:
 def run_on(
     program: Sequence[str | os.PathLike[str]],
     part: Truth = SCA100T,
-    model: str = "sca100t-d02",
+    model: str = "data-sheet",
     address: int | None = None,
 ) -> Iterator[Bench]:
     """Start a program on a machine with one device node, and wait for its end on leaving.
 
-    The node leads to a part of a model: ``/dev/spidev0.0``, or ``/dev/i2c-1`` where the part has a 7-bit address. A
-    program that runs longer than two minutes is killed.
+    The node leads to an SCA100T by its data sheet, or to a part of a model: ``/dev/spidev0.0``, or ``/dev/i2c-1`` where
+    the part has a 7-bit address. A program that runs longer than two minutes is killed.
     """
     if why := missing():
         pytest.skip(why)
