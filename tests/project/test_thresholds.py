@@ -7,8 +7,11 @@ from typing import Any
 
 import yaml
 
+from tiltcal.files.json_schema import FILES, json_schema
+
 ROOT = Path(__file__).resolve().parents[2]
 TABLE: dict[str, dict[str, Any]] = yaml.safe_load(Path(__file__).with_name("thresholds.yaml").read_text("utf-8"))
+KEYS: dict[str, dict[str, Any]] = TABLE.pop("keys")
 
 NUMBERS = (ast.Constant, ast.Tuple, ast.Load, ast.UnaryOp, ast.unaryop, ast.BinOp, ast.operator)
 
@@ -33,3 +36,24 @@ def test_every_threshold_has_its_value() -> None:
             values, there = value["each"] if isinstance(value, dict) else [value], found[name]
             assert all(one in there for one in values), (package, name, there)
             assert all(one in values for one in there if isinstance(one, float | int)), (package, name, there)
+
+
+def numbers(schema: Any) -> list[float]:
+    """The limits and the default in the schema of a key, without those that every size has."""
+    if isinstance(schema, list):
+        return [number for part in schema for number in numbers(part)]
+    if not isinstance(schema, dict):
+        return []
+    stated = (schema.get(name) for name in ("minimum", "maximum", "minItems", "maxItems", "minLength"))
+    limits = [one for one in stated if one is not None and 1e-9 < abs(one) < 1e9 or one == 0]
+    default = [schema["default"]] if isinstance(schema.get("default"), int | float) else []
+    return [*limits, *default, *(number for part in schema.values() for number in numbers(part))]
+
+
+def test_every_key_of_a_file_has_its_limits() -> None:
+    found: dict[str, dict[str, list[float]]] = {}
+    for kind in FILES:
+        for name, record in json_schema(kind)["$defs"].items():
+            limits = {key: numbers(part) for key, part in record.get("properties", {}).items()}
+            found |= {name: limited} if (limited := {key: some for key, some in limits.items() if any(some)}) else {}
+    assert found == KEYS
