@@ -6,6 +6,7 @@ from math import radians
 import numpy as np
 import pytest
 from support import FIXTURES
+from support.refused import require_refused
 
 from tiltcal.core.model import Mounting
 from tiltcal.errors import InputError
@@ -68,48 +69,8 @@ def test_angles_are_radians_inside_and_what_is_left_out_is_there() -> None:
     assert calibration.provenance == Provenance()
 
 
-def test_error_names_line_and_key() -> None:
-    for old, new, line, key, about in (
-        ("[x, y]}", "[x, x]}", 3, "sensor.channels", "different ones"),
-        ("[x, y]}", "[]}", 3, "sensor.channels", "one to three"),
-        ("x: {x: 818.2, y: 9.1}", "x: {x: 818.2}", 8, "calibration.sensitivity.y", "same columns"),
-        ("x: {x: 818.2, y: 9.1}", "x: {x: 6.4, y: -820.7}", 6, "calibration.sensitivity", "singular"),
-        ("[5.5, 24.0]", "[24.0, 5.5]", 11, "calibration.temperature.range", "wrong way round"),
-        (", y: [-0.05, 1e-4]}", "}", 12, "calibration.temperature.offset", "'y' is missing"),
-        ("  mounting:", "  nonlinearity: {y: [0.1]}\n  mounting:", 13, "calibration.nonlinearity", "'x' is missing"),
-        (
-            "  mounting:",
-            "  nonlinearity: {x: [0.6, 0], y: [0, 0]}\n  mounting:",
-            13,
-            "calibration.nonlinearity",
-            "several",
-        ),
-        # 1 - 3 * 0.31 at ±1 g: the reading hardly changes there.
-        (
-            "  mounting:",
-            "  nonlinearity: {x: [0, -0.31], y: [0, 0]}\n  mounting:",
-            13,
-            "calibration.nonlinearity",
-            "several",
-        ),
-        ("[1e-8, 0.01]]", "[2e-8, 0.01]]", 16, "uncertainty.covariance.matrix", "not symmetric"),
-        ("matrix: [[0.01", "matrix: [[-0.01", 16, "uncertainty.covariance.matrix", "no covariance"),
-        ("[[0.01, 1e-8], [1e-8", "[[0.01, 0.02], [0.02", 16, "uncertainty.covariance.matrix", "no covariance"),
-        ("{x: 0.1, y: 0.1}", "{x: 0.3, y: 0.1}", 16, "uncertainty.covariance", "uncertainty of 0.1, and 0.3 is stated"),
-        (", [1e-8, 0.01]]", "]", 16, "uncertainty.covariance.matrix", "2 rows of 2"),
-        ("offset.y], matrix", "offset.x], matrix", 16, "uncertainty.covariance.parameters", "twice"),
-        ("offset.y], matrix", "ofset.y], matrix", 16, "uncertainty.covariance.parameters[1]", "mean 'offset.y'"),
-        ("0.1}\n  cov", "0.1}\n  coverage_factor: {a: 2.5}\n  cov", 16, "uncertainty.coverage_factor.a", "unknown"),
-        ("tilt: [-60, 60]", "tilt: {w: [0, 1]}", 17, "limits.tilt.w", "unknown key"),
-        ("{chi_square", "{budget: {a: {noise: 1.0}}, chi_square", 18, "fit.budget.a", "unknown key"),
-        ("fit:", "provenance: {ended: 12:30}\nfit:", 18, "provenance.ended", "'12:30' is no date"),
-        ("mean: {x: 1024.6}", "time: soon", 19, "positions[0].time", "'soon' is no date"),
-    ):
-        assert old in EXAMPLE
-        with pytest.raises(InputError) as caught:
-            read(EXAMPLE.replace(old, new, 1))
-        assert (caught.value.file, caught.value.line, caught.value.key) == ("c.yaml", line, key), new
-        assert about in caught.value.message
+def test_what_is_wrong_is_told_with_line_and_key() -> None:
+    require_refused("tilt", EXAMPLE, read)
 
 
 def test_columns_go_with_channels() -> None:

@@ -8,12 +8,13 @@ from typing import Any
 import yaml
 from jsonschema import Draft202012Validator
 from support import ROOT
+from support.refused import require_refused
 
 from tiltcal.errors import InputError
 from tiltcal.files.bench import bench_of
 from tiltcal.files.calibration import read_calibration
 from tiltcal.files.device import device_of
-from tiltcal.files.document import read_document
+from tiltcal.files.document import parse_document, read_document
 from tiltcal.files.json_schema import json_schema
 from tiltcal.files.pair import pair_record
 from tiltcal.files.procedure import read_procedure
@@ -52,6 +53,18 @@ jig: 0.05
 thermometer: {model: thermistor, address: "sim:", uncertainty: 0.1}
 sensors:
   - {serial: A-1, model: sca100t-d02, address: "sim:", axes: [-y, x]}
+  - {serial: A-2, model: sca100t-d02, address: "sim:"}
+"""
+DEVICE = """\
+tiltcal: 1
+kind: device
+name: own-2
+title: A text device
+unit: °
+ask: "R"
+answer: '(?P<x>[-+0-9.]+),(?P<y>[-+0-9.]+)'
+ends: "\\r\\n"
+angles: inclination
 """
 
 
@@ -62,6 +75,13 @@ def passes(kind: str, text: str, path: Path) -> tuple[bool, bool]:
         READERS[kind](path)
         return Draft202012Validator(SCHEMAS[kind]).is_valid(yaml.load(text, Loader)), True
     return Draft202012Validator(SCHEMAS[kind]).is_valid(yaml.load(text, Loader)), False
+
+
+def test_what_is_wrong_is_told_with_line_and_key() -> None:
+    readers = {"pair": pair_record, "bench": bench_of, "device": device_of}
+    pair = GOOD[ROOT / "fixtures" / "rotation.yaml"]
+    for (kind, read), text in zip(readers.items(), (pair, BENCH, DEVICE), strict=True):
+        require_refused(kind, text, lambda text, read=read: read(parse_document(text)))
 
 
 def test_every_file_of_ours_passes() -> None:

@@ -5,10 +5,12 @@ from math import cos, radians
 from pathlib import Path
 
 import pytest
+from support import ROOT
+from support.refused import require_refused
 
 from tiltcal.core.pair.model import Pair
-from tiltcal.errors import InputError, UsageError
-from tiltcal.files.document import document_of
+from tiltcal.errors import UsageError
+from tiltcal.files.document import document_of, parse_document
 from tiltcal.files.procedure import Rotation, find_procedure, procedure_in, read_procedure
 
 OWN = """\
@@ -98,33 +100,13 @@ def test_record_gives_the_procedure_again_through_json(own: Path) -> None:
         assert (procedure.record["samples"], procedure.record["soak"]["seconds"]) == (100, 20.0)
 
 
-def refused(path: Path, text: str, changes: list[tuple[str, str, int, str, str]]) -> None:
-    for old, new, line, key, about in changes:
-        assert old in text
-        path.write_text(text.replace(old, new, 1))
-        with pytest.raises(InputError) as caught:
-            read_procedure(path)
-        assert (caught.value.file, caught.value.line, caught.value.key) == (str(path), line, key), new
-        assert about in caught.value.message
+def test_what_is_wrong_with_positions_is_told_with_line_and_key() -> None:
+    for kind, text in (("positions", OWN), ("level", shipped("level")), ("ramp", shipped("ramp"))):
+        require_refused(kind, text, lambda text: procedure_in(parse_document(text)))
 
 
-def test_what_is_wrong_with_positions_is_told_with_line_and_key(own: Path) -> None:
-    changes = [
-        ("angle: 20\n", "", 9, "positions[1].tilt.x", "gives no angle"),
-        ("reference: 24\n", "", 5, "determines", "'reference'"),
-        ("[y, x]", "[x, x]", 5, "determines.axes", "twice"),
-        ("[y, x], drift: 1", "[x, y, z], drift: 1, free: true", 5, "determines", "unit gravity says no more"),
-        ("[y, x], drift: 1", "[x, y], free: true", 5, "determines", "unit gravity says no more"),
-        ("[y, x], drift: 1", "[y, x], mounting: true", 5, "determines", "the mounting determines nothing else"),
-        ("[y, x], drift: 1", "[], drift: 1, level: true", 5, "determines", "the level determines nothing else"),
-        ("name: side", "name: up", 11, "positions[2]", "names are unique"),
-        ("gravity: [0, 3, 4]", "gravity: [0, 0, 0]", 11, "positions[2].gravity", "no direction"),
-        ("gravity: [0, 3, 4]", "gravity: [0, 3, 4], tilt: {}", 11, "positions[2]", "either tilt"),
-        ("gravity: [0, 3, 4], ", "", 11, "positions[2]", "either tilt"),
-        ("tilt: {}", "tilt: {x: 60, y: 60}", 9, "positions[0].tilt", "at once"),
-        ("prompt: Level", 'prompt: "At {angel}"', 9, "positions[0].prompt", "{angle} or {temperature}"),
-    ]
-    refused(own, OWN, changes)
+def shipped(name: str) -> str:
+    return (ROOT / "procedures" / f"{name}.yaml").read_text(encoding="utf-8")
 
 
 # A stage that turns.
@@ -153,12 +135,5 @@ def test_the_turns_of_the_command_line_take_the_place_of_the_files(turning: Path
         procedure.in_positions()
 
 
-def test_what_is_wrong_with_a_rotation_is_told_with_line_and_key(turning: Path) -> None:
-    changes = [
-        ("[left, right]", "[left, left]", 8, "rotation.pairs[0]", "four different channels"),
-        ("orthogonal: up", "orthogonal: left", 8, "rotation.pairs[0]", "four different channels"),
-        ("phase: angle", "phase: up", 8, "rotation.pairs[0]", "four different channels"),
-        ("  turns: 12", "    - {pair: [left, right], orthogonal: x}\n  turns: 12", 7, "rotation.pairs", "twice"),
-        ("title: One pair", "title: One pair\npositions: []", 5, "positions", "unknown key"),
-    ]
-    refused(turning, TURNING, changes)
+def test_what_is_wrong_with_a_rotation_is_told_with_line_and_key() -> None:
+    require_refused("rotation", TURNING, lambda text: procedure_in(parse_document(text)))

@@ -1,16 +1,16 @@
 """The twin file says what a virtual sensor really is."""
 
-from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
+from support.refused import require_refused
 
 from tiltcal.bench.devices import truth_of
 from tiltcal.drivers import find_model
 from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.stage import StageTruth
 from tiltcal.drivers.virtual import Fault, Truth
-from tiltcal.errors import InputError, UsageError
+from tiltcal.errors import UsageError
 from tiltcal.files.twin import read_twin
 
 FILE = """\
@@ -81,26 +81,9 @@ truth:
 """
 
 
-def refused(tmp_path: Path, text: str, changes: Sequence[tuple[str, str, int, str, str]]) -> None:
-    for old, new, line, key, about in changes:
-        assert old in text
-        with pytest.raises(InputError) as caught:
-            read(tmp_path, text.replace(old, new, 1))
-        assert (caught.value.line, caught.value.key) == (line, key), new
-        assert about in caught.value.message
-
-
-def test_error_names_line_and_key(tmp_path: Path) -> None:
-    changes = [
-        ("offset: {y: 1021.9, x: 1024.6}", "offset: {}", 6, "truth.offset", "no channel"),
-        ("x: 1024.6", "w: 1", 6, "truth.offset.w", "unknown key"),
-        ("x: 818.2", "x: 0", 8, "truth.sensitivity.x", "own axis"),
-        ("x: 818.2", "x: 1e-200", 8, "truth.sensitivity.x", "own axis"),
-        (", z: -1.5", "", 9, "truth.sensitivity.y", "same columns"),
-        ("ambient: 20", "ambient: 9e8", 5, "truth", "would read more than 1e+12"),
-        ("end: 12.5", "end: 12", 18, "truth.faults[0].end", "not after its start"),
-    ]
-    refused(tmp_path, FILE, changes)
+@pytest.mark.parametrize(("kind", "text"), [("twin", FILE), ("disk", DISK)])
+def test_what_is_wrong_is_told_with_line_and_key(kind: str, text: str, tmp_path: Path) -> None:
+    require_refused(kind, text, lambda text: read(tmp_path, text))
 
 
 def test_a_rotary_stage_is_read(tmp_path: Path) -> None:
@@ -111,14 +94,6 @@ def test_a_rotary_stage_is_read(tmp_path: Path) -> None:
     assert [part.scale for part in disk.accelerometers] == [3.0, 3.1, 3.2, 3.3]
     angles = disk.inclination, disk.accelerometers[0].misalignment, disk.accelerometers[2].phase_error
     assert angles == pytest.approx((0.5235988, 0.02617994, 0.003490659))
-
-
-def test_what_is_wrong_with_a_rotary_stage_is_named(tmp_path: Path) -> None:
-    changes = [
-        ("rate: 20", "rate: 0", 8, "truth.disk.rate", "at least 0.001"),
-        ("      a2: {scale: 3.1}\n", "", 10, "truth.disk.accelerometers", "'a2' is missing"),
-    ]
-    refused(tmp_path, DISK, changes)
 
 
 def test_a_twin_of_another_kind_is_refused(tmp_path: Path) -> None:
