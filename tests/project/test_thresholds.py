@@ -45,7 +45,7 @@ def numbers(schema: Any) -> list[float]:
     if not isinstance(schema, dict):
         return []
     stated = (schema.get(name) for name in ("minimum", "maximum", "minItems", "maxItems", "minLength"))
-    limits = [one for one in stated if one is not None and 1e-9 < abs(one) < 1e9 or one == 0]
+    limits = [one for one in stated if (one is not None and 1e-9 < abs(one) < 1e9) or one == 0]
     default = [schema["default"]] if isinstance(schema.get("default"), int | float) else []
     return [*limits, *default, *(number for part in schema.values() for number in numbers(part))]
 
