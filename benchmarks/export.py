@@ -30,11 +30,11 @@ from support.export_study import (
     compiled,
     computed_in_c,
     drifting,
-    of_counts,
     random_calibration,
     readings,
 )
 
+from tiltcal.core.compensation import Compensation
 from tiltcal.core.model import Array
 from tiltcal.export.loss import largest_error
 from tiltcal.export.targets import TARGETS, Source, exported
@@ -95,6 +95,13 @@ def on_an_arduino(folder: Path, header: str, kind: str, count: int) -> Array:
     command = ["simavr", "-m", "atmega328p", "-f", "16000000", str(elf)]
     run = subprocess.run(command, capture_output=True, text=True, timeout=3600, check=False)
     return np.array(re.findall(r"(-?\d+) (-?\d+)\.", run.stdout + run.stderr), dtype=float) * 1e-6
+
+
+def of_counts(count: int) -> Array:
+    """Return what ``apply`` makes of the readings of :data:`COUNTS` at 0 to 39 °C, g, shape (n, 2)."""
+    k = np.arange(count)
+    u = np.column_stack([200.0 + k % 1649, 1900.0 - (7 * k) % 1699])
+    return np.array(Compensation(drifting().coefficients)(u, k % 40 * 1.0).gravity)
 
 
 def main() -> int:

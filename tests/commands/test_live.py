@@ -3,11 +3,9 @@
 import json
 from pathlib import Path
 
-import pexpect
 import pytest
 from support import FIXTURES
 from support.command import measure, tiltcal
-from support.warm_start import WarmStart
 
 from tiltcal.bench.live import LiveTilt
 
@@ -53,15 +51,3 @@ def test_address_and_range_are_those_of_the_file_and_another_range_is_refused(tm
     assert "state --address" in tiltcal("live", "fitted.yaml", cwd=tmp_path, code=2).stderr
     near = LiveTilt({"tilt_x": 1.0, "pitch": 1.0, "roll": -2.0}, {}, 20.0, 3, 1).within(60)
     assert near.strip() == "suspect   pitch +1.00°   roll -2.00°   tilt x +1.00°"
-
-
-def test_on_a_terminal_one_line_renews_itself_until_ctrl_c(warm: WarmStart, calibrated: Path) -> None:
-    command, *arguments = [*warm.program, "live", str(calibrated), "--address", "sim:?seed=1"]
-    for more, code in (([], 0), (["--for", "60"], 130)):
-        terminal = pexpect.spawn(command, [*arguments, *more], encoding="utf-8", timeout=20, dimensions=(24, 60))
-        for _ in range(2):
-            terminal.expect("\r\x1b\\[2KS-1   tilt x [^\r\n]{0,50}")
-        terminal.sendintr()
-        terminal.expect(pexpect.EOF)
-        terminal.close()
-        assert terminal.exitstatus == code

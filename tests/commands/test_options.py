@@ -11,7 +11,6 @@ import pytest
 
 from tiltcal.cli.main import group
 from tiltcal.cli.options import Number, json_text
-from tiltcal.cli.talk import wrapped
 from tiltcal.errors import UsageError
 from tiltcal.library.measure import measure, plan
 from tiltcal.library.recorded import apply_log, fit
@@ -35,16 +34,6 @@ def test_every_option_but_a_command_s_own_is_a_parameter_of_the_library(
     options = {str(one.name) for one in found.params}
     assert set(own.split()) < options
     assert options - set(own.split()) <= set(signature(function).parameters)
-
-
-def test_remarks_break_between_words_at_the_width_of_the_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("COLUMNS", "40")
-    text = "S-7: state the lean of the table (--table-lean), or measure again\n  a line that fits stays  as it is"
-    assert wrapped(text).split("\n") == [
-        "S-7: state the lean of the table",
-        "    (--table-lean), or measure again",
-        "  a line that fits stays  as it is",
-    ]
 
 
 @pytest.mark.parametrize("value", ["nan", "inf"])

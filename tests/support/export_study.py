@@ -137,10 +137,3 @@ int main(void)
 }}
 """
 FIXED = 'int32_t g[2]; tilt_g_fixed(u, (k % 40) * 100, g); printf("%ld %ld\\n", (long)g[0], (long)g[1]);'
-
-
-def of_counts(count: int) -> Array:
-    """Return what ``apply`` makes of the readings of :data:`COUNTS` at 0 to 39 °C, g, shape (n, 2)."""
-    k = np.arange(count)
-    u = np.column_stack([200.0 + k % 1649, 1900.0 - (7 * k) % 1699])
-    return np.array(Compensation(drifting().coefficients)(u, k % 40 * 1.0).gravity)

@@ -1,0 +1,215 @@
+"""What commands print that only show something, whole: procedures, devices, coefficients, help."""
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from support import FIXTURES, ROOT
+from support.applied import PLAIN
+from support.command import tiltcal
+
+from tiltcal import __version__, open_calibrations, read
+
+PROCEDURES = {path.stem: yaml.safe_load(path.read_text()) for path in sorted((ROOT / "procedures").glob("*.yaml"))}
+STILL = "  samples     100 per position, still for 2 s"
+SHOWN = {
+    "rotation": [
+        "  determines  p and q of a1 and a2, orthogonal a4",
+        "  determines  p and q of a3 and a4, orthogonal a1",
+        "  turns       100 by the stage angle theta, fewer where p and q are known to 1e-05",
+        "  prompt      Incline the axis of the stage, and let it turn steadily in the direction in which its angle "
+        "counts up.",
+    ],
+    "ramp": [
+        "  determines  offset, no sensitivity, offset of order 3 over temperature",
+        "  samples     one every 5 s, while the temperature changes by 0.5 °C/min",
+    ],
+    "mounting": ["  determines  the mounting of a sensor that is calibrated", STILL],
+    "level": [
+        "  determines  the offset of a sensor that is calibrated; all else stays",
+        STILL,
+        "   1. level        Lay the application level.",
+    ],
+    "free": ["  determines  offset, sensitivity to x, y, z; not the mounting", STILL],
+    "mavs": ["  determines  offset, sensitivity to x, y, offset of order 1 over temperature", STILL],
+    "multi-angle": ["  determines  offset, sensitivity to x, y, z, nonlinearity", STILL],
+}
+
+
+@pytest.mark.parametrize("name", SHOWN)
+def test_a_procedure_is_shown_with_what_it_determines(name: str) -> None:
+    lines, known = tiltcal("procedures", name, code=0).stdout.splitlines(), PROCEDURES[name]
+    source = [f"  source      {known['source']}"] if "source" in known else []
+    assert lines[: 1 + len(source)] == [f"{name}: {known['title']}", *source]
+    shown = lines[1 + len(source) :]
+    assert shown[: len(SHOWN[name])] == SHOWN[name]
+    numbered = [line for line in shown if re.match(r" *\d+\. ", line)]
+    assert len(numbered) == len(known.get("positions", known.get("legs", [])))
+
+
+def test_procedures_are_listed_and_printed() -> None:
+    listed = tiltcal("procedures", code=0).stdout.splitlines()
+    assert [line[:17].rstrip() for line in listed] == [*PROCEDURES]
+    assert listed[0] == f"comparison-16     {PROCEDURES['comparison-16']['title']} (16 positions)"
+    assert [line.rpartition(" (")[2] for line in listed if line[:2] in ("le", "ra", "ro")] == [
+        *("1 position)", "4 legs)", "up to 100 turns)")
+    ]
+    assert listed == tiltcal("procedures", "--source", code=0).stdout.splitlines()
+    source = tiltcal("procedures", "plane", "--source", code=0).stdout
+    assert source == (ROOT / "procedures" / "plane.yaml").read_text()
+    for names, known in (((), PROCEDURES), (("ramp",), ["ramp"])):
+        told = json.loads(tiltcal("procedures", *names, "--json", code=0).stdout)
+        assert [one["title"] for one in told] == [PROCEDURES[name]["title"] for name in known]
+    assert tiltcal("procedures", ROOT / "procedures" / "plane.yaml", "--source").stdout == source
+
+
+ADXL202 = """\
+adxl202  Analog Devices ADXL202 accelerometer, ±2 g, duty cycle
+  reads      x, y in duty, and its temperature
+  nominal    0.5 duty at 0 g, 0.125 duty/g
+  address    serial:///dev/ttyUSB0?baudrate=115200
+             gpio:///dev/gpiochip0?x=17&y=27
+             vcd:capture.vcd?x=D0&y=D1
+             ads1115+i2c:///dev/i2c-1?address=0x48&x=0&y=1&supply=2
+             sim: for the virtual twin (sim:?twin=FILE&seed=N)
+  options    wiring
+  the twin does not model
+    - response time and bandwidth: """
+
+
+def test_devices_are_shown_and_listed() -> None:
+    assert tiltcal("devices", "adxl202", code=0).stdout.startswith(ADXL202)
+    assert tiltcal("devices", "thermistor", code=0).stdout.splitlines()[1:3] == [
+        "  reads      the temperature in °C",
+        "  address    ads1115+i2c:///dev/i2c-1?address=0x48&channel=3&supply=2&beta=3950&r0=10000&t0=25&fixed=10000",
+    ]
+    stage = tiltcal("devices", "gradiometer", code=0).stdout.splitlines()
+    assert stage[1:3] == [
+        "  reads      theta, a1, a2, a3, a4 in mA",
+        "  address    serial:///dev/ttyUSB0?columns=time,theta,a1,a2,a3,a4",
+    ]
+    assert not any(line.startswith("  options") for line in tiltcal("devices", "sca100t-d02").stdout.splitlines())
+    listed = tiltcal("devices", code=0)
+    every = json.loads(tiltcal("devices", "--json", code=0).stdout)
+    names, width = [one["name"] for one in every], max(len(one["name"]) for one in every)
+    assert listed.stdout.splitlines() == [f"{one['name']:<{width}}  {one['title']}" for one in every]
+    assert listed.stderr.startswith("`tiltcal devices MODEL` shows the addresses of one")
+    assert {"sca100t-d02", "gradiometer", "bei-rs232"} < {*names}
+    for name, scale in (("sca100t-d02", (1024.0, 819.0)), ("gradiometer", (None, None))):
+        (one,) = json.loads(tiltcal("devices", name, "--json", code=0).stdout)
+        assert one == every[names.index(name)]
+        assert list(one) == [
+            *("name", "title", "channels", "unit", "offset", "sensitivity", "thermometer"),
+            *("addresses", "twin_does_not_model"),
+        ]
+        assert (one["offset"], one["sensitivity"]) == scale
+        assert one["addresses"][-1] == "sim:"
+
+
+def test_a_stage_is_planned_by_its_channels() -> None:
+    told = json.loads(tiltcal("plan", "rotation", "--sensor", "gradiometer", "--json", code=0).stdout)
+    pairs = [{"pair": ["a1", "a2"], "orthogonal": "a4"}, {"pair": ["a3", "a4"], "orthogonal": "a1"}]
+    assert (told["pairs"], told["turns"], told["left_out"]) == (pairs, 100, [])
+    lines = tiltcal("plan", "rotation", "--sensor", "gradiometer", code=0).stdout.splitlines()
+    assert lines == ["a1 and a2, orthogonal a4", "a3 and a4, orthogonal a1", told["why"]]
+
+
+def test_show_prints_coefficients_tilts_and_the_map(tmp_path: Path) -> None:
+    """A and b turn readings of the model back into gravity; of two channels that read g_z too b is that at level."""
+    record = read(FIXTURES / "free.yaml").record
+    lines = tiltcal("show", FIXTURES / "free.yaml", "--matrix", code=0).stdout.splitlines()[-5:]
+    assert lines[0] == "  g = A (u - b), A in g per count, columns x, y, z; b in count"
+    assert [line[:6].rstrip() for line in lines[1:]] == ["  A x", "  A y", "  A z", "  b"]
+    rows = np.array([line[5:].split() for line in lines[1:]], dtype=float)
+    up = np.vstack([np.eye(3), -np.eye(3)])
+    assert (record.coefficients.predict(up) - rows[3]) @ rows[:3].T == pytest.approx(up, abs=1e-6)
+    for text, matrix, offset in (
+        (PLAIN.replace("y: 0.0}, y", "y: 0.0, z: 0.05}, y").replace("y: 2.0}", "y: 2.0, z: -0.03}"), 2, "2.55 2.47"),
+        (
+            PLAIN.replace("[x, y]", "[y]")
+            .replace("x: 2.5, ", "")
+            .replace("x: {x: 2.0, y: 0.0}, ", "")
+            .replace("x: 0.0, ", ""),
+            1,
+            "2.5",
+        ),
+    ):
+        (tmp_path / "cal.yaml").write_text(text)
+        shown = tiltcal("show", "cal.yaml", "--matrix", cwd=tmp_path, code=0).stdout.splitlines()
+        assert [line[4] for line in shown if line.startswith("  A ")] == ["x", "y"][-matrix:]
+        assert " ".join(shown[-1].split()[1:]) == offset
+    assert "A" not in tiltcal("show", "cal.yaml", cwd=tmp_path, code=0).stdout
+    shown = tiltcal("show", FIXTURES / "cross-axis.yaml").stdout
+    assert re.search(r"offset x +1026\.\d+ ± 0\.\d+ count", shown)
+    assert re.search(r"tilt x within  ± 0\.0\d+° near level, 0\.0\d+° at -30°, 0\.0\d+° at 30°", shown)
+    pairs = tiltcal("show", FIXTURES / "rotation.yaml", code=0).stdout
+    assert pairs == f"{read(FIXTURES / 'rotation.yaml')}\n"
+    assert (pairs.count("p = "), pairs.count("\n\na3 and a4, ")) == (2, 1)
+    refused = tiltcal("show", FIXTURES / "rotation.yaml", "--matrix", code=2)
+    assert refused.stderr.endswith("rotation.yaml is of pairs, which have no matrix: leave --matrix out\n")
+
+
+def test_a_program_is_shown_what_it_holds() -> None:
+    pairs, plane = (read(FIXTURES / f"{name}.yaml") for name in ("rotation", "plane"))
+    assert repr(pairs) == "<PairCalibration of a1 and a2, a3 and a4>"
+    assert repr(plane) == "<Calibration of sca100t-d02 SIM-42: x, y in count>"
+    assert repr(open_calibrations(FIXTURES)) == f"<CalibrationLibrary of {FIXTURES}>"
+    for shown, name in ((plane, "plane"), (read(FIXTURES / "mavs.yaml"), "mavs")):
+        limits = yaml.safe_load((FIXTURES / f"{name}.yaml").read_text())["limits"]
+        lines = [f"  tilt {axis}  {low:g}°  to  {high:g}°" for axis, (low, high) in limits["tilt"].items()]
+        if "temperature" in limits:
+            lines.append("  temperature  {:g} °C  to  {:g} °C".format(*limits["temperature"]))
+        assert str(shown.limits).splitlines()[: len(lines)] == lines
+        assert str(shown.limits).splitlines()[len(lines) :] == [f"  reading {axis}  101  to  2047" for axis in "xy"]
+    assert pairs.compensation().channels == ("a1", "a2", "a4", "a3", "theta")
+    assert pairs != plane
+    assert plane == read(FIXTURES / "plane.yaml")
+    assert plane != plane.with_mounting("roll=1")
+
+
+HEADINGS = {
+    "noise": {
+        "Sensor": "--sensor --address --calibration --unit", "Data": "--columns --skip-bad-rows",
+        "Result": "-o --figure", "Recording": "--samples --rate --for", "Averages": "--target",
+        "Other": "--topic --json -h",
+    },
+    "match": {
+        "Data": "--pair --orthogonal --phase --skip-bad-rows", "Result": "-o --figure", "Method": "--online --loops",
+        "Other": "--json -h",
+    },
+    "export": {"Options": "--to -o --name --fixed --allow -h"},
+    "apply": {
+        "Options": "-o --topic --columns --uncertainty --skip-bad-rows --json -h",
+        "Calibrations over time": "--calibrations --serial --start --stability", "Means": "--average --every",
+        "Heading and velocity": "--magnetometer --velocity --declination --magnetometer-noise",
+        "Further options": "--mounting --reading-noise --first-order --scheduler",
+    },
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("command", HEADINGS)
+def test_a_long_help_has_headings(command: str) -> None:
+    found: dict[str, list[str]] = {}
+    for line in tiltcal(command, "--help", code=0).stdout.splitlines():
+        if heading := re.match(r"([A-Z][\w ]*):$", line):
+            found[heading[1]] = []
+        elif option := re.match(r"  (-[\w-]+)", line):
+            found[[*found][-1]].append(option[1])
+    assert {name: " ".join(options) for name, options in found.items() if options} == HEADINGS[command]
+
+
+def test_without_a_command_it_says_how_to_begin() -> None:
+    bare = tiltcal(code=2).stdout
+    assert bare.startswith("Begin with\n  a sensor on a port   tiltcal probe --address serial:///dev/ttyUSB0\n")
+    assert bare.endswith(tiltcal("--help", code=0).stdout)
+    assert re.findall(r"^(\S[^:]*):$", bare, re.MULTILINE) == [
+        *("Options", "Commands of the bench", "Commands for logs", "Commands for files")
+    ]
+    assert tiltcal("--version", code=0).stdout == f"tiltcal, version {__version__}\n"
+    assert "Error: --verbose goes with --version" in tiltcal("--verbose", code=2).stderr
+    assert "Error: no such command 'mesure'; did you mean 'measure'?\n" in tiltcal("mesure", code=2).stderr
+    assert tiltcal("zzz", code=2).stderr.endswith("Error: no such command 'zzz'\n")
+    assert "No such option" in tiltcal("--zzz", code=2).stderr
