@@ -184,8 +184,6 @@ class ColumnLayout:
         if "\ufffd" in whole or not whole.replace("\t", "").isprintable():
             return []  # noise
         text = without_clock(whole)[1].strip()
-        if not text.replace("\t", " ").isprintable():
-            return []
         if text.startswith("{"):
             try:
                 return [(key, cell.strip()) for key, cell in flattened(json.loads(text)).items()]
@@ -194,9 +192,7 @@ class ColumnLayout:
         texts, numbers = printed(text)
         if any(character.isalpha() for around in texts for character in around):  # labels or units
             # A number with something stuck to it is none.
-            sound = "\ufffd" not in text and not any(
-                character.isdigit() for around in texts for character in _WORD.sub("", around)
-            )
+            sound = not any(character.isdigit() for around in texts for character in _WORD.sub("", around))
             if sound and len(numbers) == len(self.names):
                 return list(zip(labels_of(texts), numbers, strict=True))
         # A column that is skipped may hold words, or the clock.

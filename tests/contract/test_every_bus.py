@@ -320,10 +320,18 @@ def test_no_permission_names_the_group_that_has_it(
         raise serial.SerialException(errno.EACCES, "could not open port")
 
     monkeypatch.setattr(serial.Serial, "open", refused)
-    for group, advice in (("bench", "sudo usermod -aG bench $USER"), ("root", f'GROUP="{usual}"')):
+    for group, advice in (
+        ("bench", "sudo usermod -aG bench $USER"),
+        ("root", f'GROUP="{usual}"'),
+        ("", "ask the owner of this machine for it"),
+    ):
         with monkeypatch.context() as patch:
             patch.setattr(os, "stat", lambda path: SimpleNamespace(st_gid=4711))
-            patch.setattr(grp, "getgrgid", lambda number, group=group: {4711: SimpleNamespace(gr_name=group)}[number])
+            patch.setattr(
+                grp,
+                "getgrgid",
+                lambda number, group=group: {4711 * bool(group): SimpleNamespace(gr_name=group)}[number],
+            )
             with pytest.raises(BusError, match="no permission to use /dev/") as error:
                 opened(address)
         assert advice in str(error.value)
@@ -396,6 +404,8 @@ def test_what_is_not_there_or_no_port_is_named(tmp_path: Path) -> None:
         ("serial:///dev/ttyUSB77", r"/dev/ttyUSB77 does not exist \(.*\)"),
         ("serial:hwgrep://nobody", r"hwgrep://nobody failed .no ports found .*: check the wiring"),
         (f"serial://{path}", "no serial port"),
+        ("modbus:tcp://127.0.0.1?columns=x@0", r"no Modbus server answers at tcp://127\.0\.0\.1: is it running"),
+        ("modbus:/dev/null?columns=x@0", "/dev/null cannot be opened: is it a serial port"),
         ("modbus:tcp://a..b:1?columns=x@0", "no Modbus server answers at tcp://"),
         (f"modbus:tcp://{'a' * 64}:1?columns=x@0", "no Modbus server answers at tcp://"),
         ("modbus:/dev/ttyNONE?columns=x@0", "/dev/ttyNONE does not exist"),

@@ -317,7 +317,27 @@ def test_a_number_without_a_sign_uses_all_of_its_bits_and_a_part_tells_its_mode(
     bench = Bench("modbus-columns columns=x@0:float32,temperature@4:uint16*0.0005")
     bench.fixture.move(TILTED, 30.0)
     assert bench.fresh().temperature == pytest.approx(30.0, abs=1.0)
-    assert VirtualDevice(DEVICES["sca3000-d01"]).sensor.probe()["mode"] == "normal"
+    device = VirtualDevice(DEVICES["sca3000-d01"])
+    assert device.sensor.probe()["mode"] == "normal"
+    device.line.link.exchange(b"\x52\x03")
+    assert device.sensor.probe()["mode"].startswith("motion detection, not normal: bandwidth and data rate differ")
+
+
+@pytest.mark.parametrize("name", ["adxl355", "iis2iclx"])
+def test_a_part_that_does_not_measure_is_named_after_six_sample_periods(name: str) -> None:
+    """At its first sample and later, where its registers are as they were set."""
+    device = VirtualDevice(DEVICES[name])
+    ask = {"adxl355": 0x04 << 1 | 1, "iis2iclx": 0x1E | 0x80}[name]  # for the status, on SPI
+    for _ in range(2):
+        device.line.change = lambda out, answer: bytes(len(answer)) if out[0] == ask else answer
+        began, period = device.clock.now_ns(), 1.0 / device.sensor.part.sampling.rate
+        with pytest.raises(
+            DeviceFault, match=f"no sample came for {6 * period:.3g} s: the {name.upper()} does not meas"
+        ):
+            device.sensor.read()
+        assert 6 * period <= (device.clock.now_ns() - began) / 1e9 <= 6 * period + 0.1
+        device.line.mend()
+        device.agrees(device.after_errors())
 
 
 def test_a_row_of_bytes_is_written_to_a_row_of_registers() -> None:

@@ -2,6 +2,7 @@
 
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from support.command import tiltcal
@@ -132,3 +133,47 @@ def test_what_is_no_accelerometer_of_linux_is_named(device: Path) -> None:
     ):
         with pytest.raises(error, match=why), library.open_sensor("iio", address) as sensor:
             sensor.read()
+    (device / "name").write_text("\n")
+    with (
+        pytest.raises(BusError, match="the device names itself '': is it one"),
+        library.open_sensor("iio", "iio:device0") as sensor,
+    ):
+        sensor.read()
+    (device / "name").write_text("lis3dh_accel\n")
+    (device / "in_accel_y_raw").write_bytes(b"\xff")
+    with (
+        pytest.raises(BusError, match=r"iio:device0: reading in_accel_y_raw failed \(UnicodeDecodeError"),
+        library.open_sensor("iio", "iio:device0") as sensor,
+    ):
+        sensor.read()
+
+
+def test_an_accelerometer_of_another_machine_is_read_by_libiio(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As libiio's Python package has it: attributes by name, of the device and of its channels."""
+
+    def attribute(filename: str, value: str) -> tuple[str, SimpleNamespace]:
+        return filename, SimpleNamespace(filename=filename, value=value)
+
+    channels = {
+        f"accel_{axis}": SimpleNamespace(attrs=dict([attribute(f"in_accel_{axis}_raw", raw)]))
+        for axis, raw in (("x", "-12"), ("y", "7"), ("z", "1008"))
+    }
+    there = SimpleNamespace(
+        name="adxl345", attrs=dict([attribute("in_accel_scale", "0.0383")]), find_channel=channels.__getitem__
+    )
+
+    def context(host: str) -> SimpleNamespace:
+        if host == "ip:192.0.2.9":
+            raise OSError("timed out")
+        return SimpleNamespace(find_device=lambda device: there if (host, device) == ("ip:pi", "iio:device1") else None)
+
+    monkeypatch.setitem(sys.modules, "iio", SimpleNamespace(Context=context))
+    with library.open_sensor("iio", "iio:ip:pi/device1") as sensor:
+        assert sensor.read().values == (-12.0, 7.0, 1008.0)
+        assert sensor.probe()["scale"].startswith("0.0383")
+    for address, why in (
+        ("iio:ip:192.0.2.9/device1", r"no iiod answers at ip:192\.0\.2\.9 \(timed out\): is it running"),
+        ("iio:ip:pi/device2", "ip:pi has no iio:device2: 'iio_info -u ip:pi' lists what it has"),
+    ):
+        with pytest.raises(BusError, match=why), library.open_sensor("iio", address):
+            pass

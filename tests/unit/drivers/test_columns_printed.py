@@ -47,6 +47,9 @@ def test_lines_are_read_as_they_are_printed_and_guessed() -> None:
         b"1,2,3x",
         b"-> 1,2,3",
         b"Z: nan 1 2",
+        b"1,2,3\x07",
+        b'{"x": 1, "y": 2, "z": 3',
+        b"[" * 100_000,
     ):
         assert layout.reading(torn) is None, torn
 

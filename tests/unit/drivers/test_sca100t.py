@@ -31,6 +31,7 @@ def test_self_test_limits() -> None:
         result = sensor.self_test("x")
         assert (result.before, result.deflected, result.after) == (1024, deflected, after)
         assert result.passed == ((deflected, after) in passing)
+        assert str(result) == f"1024 count at rest, {deflected} while pushed, {after} after the recovery"
         script.close()
     _, start, push, end, settled = script.rests
     assert start >= 15e-6
@@ -72,6 +73,8 @@ def test_virtual_parts_test_themselves() -> None:
     """The data sheet: to at least 95 % of the supply, or by 1 g from below; MEAS ends it."""
     with pytest.raises(UsageError, match="no self-test"):
         SINGLE.driver(None, VirtualClock()).self_test("x")  # its limits are not known
+    with pytest.raises(UsageError, match="an SCA103T has channel x, no 'y'"):
+        PAIR.driver(None, VirtualClock()).self_test("y")
     for model in (D01, D02, PAIR):
         for seed in range(5):
             clock = VirtualClock()
@@ -82,6 +85,7 @@ def test_virtual_parts_test_themselves() -> None:
     truth = Truth(("x", "y"), {"x": 1024.0, "y": 1030.0}, {"x": {"x": 819.0}, "y": {"y": 819.0}})
     fixture = Fixture(clock)
     twin = D02.twin(truth, fixture, clock)
+    assert twin.exchange(b"\x55\x00") == b"\xff\xff", "no command of its own: the line floats"
     twin.exchange(b"\x0e")
     clock.sleep(1.0)
     assert D02.driver(twin, clock).read().values[0] >= 0.95 * 2047

@@ -82,6 +82,21 @@ def test_a_fault_that_stays_is_told_over_a_damaged_status(place: int | None) -> 
         device.sensor.read()
 
 
+def test_an_error_whose_flags_are_damaged_sets_the_part_up_anew() -> None:
+    device = VirtualDevice(SCL, "range=mode4", noise={})
+    truth, sent = device.sensor.read(), len(device.line.sent)
+    device.line.link._raise(frames.MEMORY)
+    answers = iter([b"\x00" * 4] * 3)
+
+    def damaged(out: bytes, answer: bytes) -> bytes:
+        return next(answers, answer) if answer[0] >> 2 == frames.STATUS[0] >> 2 else answer
+
+    device.line.change = damaged
+    assert device.sensor.read() == truth
+    assert frames.RESET in [out for out, _, _ in device.line.sent[sent:]]
+    assert device.sensor.link_statistics() == {"samples": 2, "damaged": 1, "saturated": 0, "restarts": 0}
+
+
 def test_a_part_that_is_shaken_and_wires_that_damage_a_frame_are_told_apart() -> None:
     device = VirtualDevice(SCL)
     device.sensor.read()

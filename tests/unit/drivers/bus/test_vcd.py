@@ -116,6 +116,7 @@ UNREADABLE = (
         r"'D1' is in several scopes: name one of top\.D1, a\.D1",
     ),
     ("", "not a value change dump"),
+    (HAND_WRITTEN.replace('" D1', "! D1"), "signals D0 and D1 are one and the same wire"),
     (HAND_WRITTEN.replace("10 us", "0 ms"), "its time scale is 0"),
 )
 
