@@ -162,18 +162,6 @@ class TestRefusals:
             "Name it with --columns x=NAME"
         )
 
-    @pytest.mark.parametrize(
-        ("columns", "said"),
-        [
-            ("x", "takes pairs, not 'x'"),
-            ("x=", "takes pairs, not 'x='"),
-            ("temprature=T", "did you mean 'temperature'?"),
-            ("x=a,x=b", "names x twice"),
-        ],
-    )
-    def test_columns_that_make_no_sense(self, columns: str, said: str) -> None:
-        assert said in refused(apply("cal.yaml", "log.csv", "--columns", columns), UsageError)
-
     def test_a_result_is_not_compensated_again(self) -> None:
         once = apply("cal.yaml", "log.csv").stdout_bytes
         assert "standard input has a column 'g_x' already" in refused(apply("cal.yaml", "-", stdin=once), UsageError)

@@ -8,8 +8,6 @@ from click.testing import CliRunner, Result
 from support.applied import PLAIN
 
 from tiltcal.cli.apply import command
-from tiltcal.cli.talk import in_options
-from tiltcal.errors import InputError, TiltcalError, UsageError
 
 CAL = (
     PLAIN
@@ -44,12 +42,6 @@ def columns(result: Result) -> dict[str, list[float]]:
     assert result.exit_code == 0, result.exception
     names, *rows = (line.split(",") for line in result.stdout.splitlines())
     return {name: [float(cell) for cell in cells] for name, *cells in zip(names, *rows, strict=True)}
-
-
-def refused(*arguments: str, kind: type[TiltcalError] = UsageError) -> str:
-    found = apply(*arguments).exception
-    assert isinstance(found, kind), found
-    return in_options(found, command)
 
 
 def test_a_magnetometer_gives_the_numbers_worked_out_by_hand() -> None:
@@ -94,15 +86,3 @@ def test_netcdf_states_units_and_meanings() -> None:
         masks = found["reason"].attrs["flag_masks"].tolist()
         assert found["reason"].attrs["flag_meanings"].split()[masks.index(128)].startswith("no_direction")
         assert found["v_north"].values == pytest.approx(BY_HAND["v_north"], abs=2e-6)
-
-
-def test_refusals() -> None:
-    assert "three columns" in refused("--velocity", "u,v", "--columns", "heading=h")
-    assert "--declination needs" in refused("--declination", "4")
-    assert "between -180 and 180" in refused("--magnetometer", "mx,my,mz", "--declination", "361")
-    assert "needs --magnetometer and --uncertainty" in refused(
-        "--magnetometer", "mx,my,mz", "--magnetometer-noise", "1"
-    )
-    assert "no role 'heading'" in refused("--columns", "heading=h")
-    assert "--columns heading=NAME" in refused("--velocity", "u,v,w", kind=InputError)
-    assert "--magnetometer NAME" in refused("--magnetometer", "mx,my,m", kind=InputError)

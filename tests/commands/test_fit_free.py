@@ -224,29 +224,6 @@ def refused(folder: Path, procedure: str, log: str, *options: str) -> str:
     return result.stderr
 
 
-@pytest.mark.parametrize(
-    ("procedure", "options", "said"),
-    [
-        ("six-face", (), "--segments"),
-        ("free", ("--jig", "0.1"), "no jig"),
-        ("free", ("--tilt", "30"), "no angle"),
-        ("free", ("--table", "--segments", "seg.csv"), "leave --segments out"),
-        ("free", ("--table", "--columns", "x=a"), "there is no column 'a'"),
-        ("free", ("--sensor", "sca100t-d02"), "three channels"),
-        ("free", (), "no threshold finds enough attitudes"),
-        ("free", ("--gravity", "1.0"), "--gravity"),
-        ("free", ("--gravity", "9.95"), "--gravity"),
-        ("free", ("--unit", "g\x07"), "the unit"),
-        ("free", ("--segments", "three.csv"), "3 free positions"),
-    ],
-)
-def test_refused_with_the_reason(tmp_path: Path, procedure: str, options: tuple[str, ...], said: str) -> None:
-    (tmp_path / "log.csv").write_text("x,y,z\n" + "1,2,3\n1.5,2,3\n" * 60)
-    (tmp_path / "seg.csv").write_text("position,start,end\nx-up,0,9\n")
-    (tmp_path / "three.csv").write_text("position,start,end\na,0,9\nb,10,19\nc,20,29\n")
-    assert said in refused(tmp_path, procedure, "log.csv", "--unit", "g", *options)
-
-
 def test_consecutive_segments_of_one_name_are_one_placement(tmp_path: Path) -> None:
     log = ["x,y,z"]
     segments = ["position,start,end"]

@@ -116,10 +116,3 @@ def test_a_coefficient_that_some_sensors_lack_is_compared_among_those_that_have_
     (fleet,) = json.loads(tiltcal("history", tmp_path, "--json").stdout)["fleets"]
     found = {one["name"]: one["n"] for one in fleet["coefficients"]}
     assert (found["offset.x"], found["temperature.offset.x.1"]) == (4, 3)
-
-
-def test_a_folder_without_calibrations_and_a_wrong_interval_are_refused(folder: Path, tmp_path: Path) -> None:
-    assert "has no calibration files" in tiltcal("history", tmp_path).stderr
-    assert "'a year' is no number of days" in tiltcal("history", folder, "--interval", "a year").stderr
-    for days in ("inf", "nan", "3000000d", "-1d"):
-        assert tiltcal("history", folder, "--interval", days, code=2).stderr.split()[:2] == ["tiltcal:", "--interval:"]

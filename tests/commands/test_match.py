@@ -23,7 +23,7 @@ from support.warm_start import WarmStart
 import tiltcal
 from tiltcal.cli.apply import command as apply_command
 from tiltcal.cli.match import command as match_command
-from tiltcal.errors import EstimateError, InputError, UsageError
+from tiltcal.errors import EstimateError, InputError
 
 PAIR = ("--pair", "a1,a2", "--orthogonal", "a4")
 BOTH = (*PAIR, "--pair", "a3,a4", "--orthogonal", "a1")
@@ -232,20 +232,6 @@ class TestRefusals:
         assert "Name it with --pairs NAME" in said
         said = refused(match(path, *PAIR, "--phase", "angle"), InputError)
         assert "Name it with --phase NAME" in said
-
-    @pytest.mark.parametrize(
-        ("arguments", "said"),
-        [
-            (("--pair", "a1", "--orthogonal", "a4"), "is not a pair"),
-            (("--pair", "a1,a1", "--orthogonal", "a4"), "three different columns"),
-            ((*PAIR, "--pair", "a3,a4"), "2 --pair and 1 --orthogonal"),
-            ((*PAIR, *PAIR), "two different pairs"),
-            ((*PAIR, *BOTH), "two different pairs"),
-            ((*PAIR, "--loops"), "--loops needs --online"),
-        ],
-    )
-    def test_options_that_make_no_sense(self, log: Path, arguments: tuple[str, ...], said: str) -> None:
-        assert said in refused(match(log, *arguments, "--phase", "theta"), UsageError)
 
 
 def test_the_file_keeps_the_checksum_of_what_was_read(tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ from support.recordings import recording
 from support.warm_start import WarmStart, wait_until_grown
 
 from tiltcal.cli.noise import command
-from tiltcal.errors import InputError, UsageError
+from tiltcal.errors import InputError
 
 SCA100T_D02 = 819.0
 """count/g"""
@@ -157,9 +157,6 @@ class TestLive:
         assert live["samples"] == 3000
         assert live["channels"]["x"]["step"] == 1.0
 
-    def test_a_virtual_sensor_needs_an_end(self) -> None:
-        assert "--samples or --for" in refused(noise(*self.ONE), UsageError)
-
     def test_interrupted_it_tells_of_what_it_has(self, warm: WarmStart, tmp_path: Path) -> None:
         log = tmp_path / "still.csv"
         process = subprocess.Popen(
@@ -175,23 +172,3 @@ class TestLive:
         rows = len(log.read_text().splitlines()) - 1
         assert f"{rows} samples in" in said
         assert printed.startswith(f"{rows} samples of x, y")
-
-
-class TestUsage:
-    @pytest.mark.parametrize(
-        ("arguments", "said"),
-        [
-            ((), "either a LOG, or"),
-            (("log.csv", "--samples", "100"), "--samples is for recording"),
-            (("log.csv", "-o", "other.csv"), "--output is for recording"),
-            (("log.csv", "--sensor", "sca100t-d02", "--address", "sim:"), "not both"),
-            (("--address", "sim:", "--samples", "10"), "--sensor"),
-            (("log.csv", "--unit", "count", "--target", "0.01"), "--target is in degrees"),
-            (("log.csv", "--sensor", "sca100t-d02", "--unit", "V"), "one unit"),
-            (("log.csv", "--sensor", "sca100t-d03"), "did you mean"),
-            (("nowhere.parquet",), "cannot read"),
-            (("nowhere.csv",), "cannot read"),
-        ],
-    )
-    def test_refused(self, arguments: tuple[str, ...], said: str) -> None:
-        assert said in refused(noise(*arguments), UsageError)

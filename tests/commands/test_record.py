@@ -119,18 +119,3 @@ def test_stopped_in_the_middle_it_keeps_its_rows(number: int, warm: WarmStart, t
     if number == signal.SIGINT:
         assert process.returncode == 130
         assert f"{len(rows)} rows in" in said
-
-
-def test_what_is_refused_writes_nothing(tmp_path: Path) -> None:
-    """NetCDF, a log that is there, and a virtual night without an end."""
-    (tmp_path / "log.csv").write_text("mine")
-    for command, said in (
-        (("record", "--rows", "3", "-o", "log.nc"), "a recording is CSV or Parquet"),
-        (("noise", "--samples", "300", "-o", "log.NC4"), "a recording is CSV or Parquet"),
-        (("record", "--rows", "3", "-o", "log.mcap"), "a recording is CSV or Parquet"),
-        (("probe", "log.csv"), "--address takes one of them"),
-        (("record", "--rows", "3", "-o", "log.csv"), "exists"),
-        (("record", "-o", "new.csv"), "--rows"),
-    ):
-        assert said in tiltcal(*command, *ONE, cwd=tmp_path, code=2).stderr
-    assert [(path.name, path.read_text()) for path in tmp_path.iterdir()] == [("log.csv", "mine")]

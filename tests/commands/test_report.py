@@ -89,24 +89,6 @@ def test_without_the_extra_it_says_what_to_install(
     assert not output.exists()
 
 
-def test_what_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "log.csv").write_text("time,x\n0,1024\n", encoding="utf-8")
-    output = tmp_path / "report.html"
-    output.write_text("as it was", encoding="utf-8")
-    for files, why in (
-        (["log.csv"], "no calibration file is given"),
-        (["nothing.yaml"], "nothing.yaml"),
-        (["plane.yaml", "free.yaml"], "not two calibrations of one sensor"),
-        (["twins/mavs.yaml"], "kind"),
-        (["plane.yaml", "night.parquet"], "cannot read"),
-        (["plane.yaml", "log.csv"], "no column 'y'"),
-    ):
-        paths = [str((FIXTURES if (FIXTURES / name).exists() else tmp_path) / name) for name in files]
-        assert run(["report", *paths, "-o", str(output)]) == 2
-        assert why in capsys.readouterr().err
-        assert output.read_text(encoding="utf-8") == "as it was"
-
-
 @pytest.mark.usefixtures("undrawn")
 def test_several_calibrations_of_one_sensor(tmp_path: Path) -> None:
     spring, autumn, output = tmp_path / "spring.yaml", tmp_path / "autumn.yml", tmp_path / "report.html"

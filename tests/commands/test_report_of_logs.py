@@ -169,9 +169,3 @@ def test_the_spectra_are_drawn_where_the_log_is_given(folder: Path, page: Page) 
     alone = folder / "alone.html"
     assert run(["report", str(folder / "disk.yaml"), "-o", str(alone)]) == 0
     assert not Page(alone.read_text(encoding="utf-8")).root.find("figure")
-
-
-def test_two_files_of_pairs_are_refused(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    file = str(folder / "disk.yaml")
-    assert run(["report", file, file, "-o", str(folder / "two.html")]) == 2
-    assert "about one file" in capsys.readouterr().err
