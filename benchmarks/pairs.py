@@ -111,7 +111,7 @@ def estimate(case: Case, seed: int) -> tuple[float, float, float, float]:
         online.push(theta, readings.T)
         solved = online.coefficients(loops=case.loops)
     else:
-        solved = solve(demodulate(PAIR.channels, follow(theta), readings.T), PAIR)
+        solved = solve(demodulate(PAIR.channels, follow(theta), readings.T, np.ones(len(theta), bool)), PAIR)
     return solved.p, solved.q, solved.u_p, solved.u_q
 
 

@@ -39,7 +39,7 @@ def identified(
     return sensor.replaced(angles=None)
 
 
-def read_in_degrees(sensor: MeasuredSensor, procedure: PositionProcedure, angles: str | None = None) -> MeasuredSensor:
+def read_in_degrees(sensor: MeasuredSensor, procedure: PositionProcedure, angles: str | None) -> MeasuredSensor:
     """Return a sensor whose readings are angles with these, and without the positions that are too steep to be fitted.
 
     EstimateError: a procedure of free positions, which needs components of gravity.

@@ -41,7 +41,7 @@ APART = 0.5  # estimated jig of all sessions above which they contradict, where 
 
 
 def combine_records(
-    calibrations: Iterable[CalibrationRecord | str | Path], mounting: Mapping[str, float] | str = ""
+    calibrations: Iterable[CalibrationRecord | str | Path], mounting: Mapping[str, float] | str
 ) -> CalibrationRecord:
     """Combine calibrations of one sensor, or their files, in their own mounting or in a stated one, degrees."""
     sessions = _sessions(calibrations)

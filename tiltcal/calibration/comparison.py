@@ -86,7 +86,7 @@ class Verdict:
         return self.sentence
 
 
-def judge(found: Sequence[CoefficientChange], incomplete: str = "") -> Verdict:
+def judge(found: Sequence[CoefficientChange], incomplete: str) -> Verdict:
     """Judge whether one of several changes is too large for chance, given their number (Šidák).
 
     ``incomplete`` is why the uncertainties are too small to call anything changed; empty where they are whole.
@@ -181,7 +181,7 @@ class Comparison:
     sensor: SensorIdentity
     changes: tuple[CoefficientChange, ...]
     verdict: Verdict
-    not_comparable: tuple[str, ...] = ()
+    not_comparable: tuple[str, ...]
 
     @property
     def in_words(self) -> str:

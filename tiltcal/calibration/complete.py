@@ -174,9 +174,7 @@ def _level_fit(change: Uncertain, offset: Array, temperature: float | None, benc
     )
 
 
-def mount(
-    base: CalibrationRecord, measurements: Sequence[Measurement], *, jig: float | None = None
-) -> CalibrationRecord:
+def mount(base: CalibrationRecord, measurements: Sequence[Measurement], *, jig: float | None) -> CalibrationRecord:
     """Return a calibration with the mounting that the positions show; their gravity is in the application's frame."""
     for why in filter(None, (missing_temperature(base, measurement) for measurement in measurements)):
         raise EstimateError(why)

@@ -37,8 +37,8 @@ class AngleReadings:
     ``euler`` says whether y is the roll of Euler angles and not the inclination of its axis, if known.
     """
 
-    slope: float = 0.0
-    euler: bool | None = None
+    slope: float
+    euler: bool | None
 
     def angle(self, reading: Array) -> Array:
         """Return readings of a slope in degrees; others as they are."""

@@ -255,15 +255,13 @@ def length_half_width(coefficients: Coefficients, limits: Limits, uncertain: Unc
 # The columns of a log
 
 
-def uncertainty_columns(quantities: Sequence[str], *, averaged: bool = False) -> tuple[str, ...]:
+def uncertainty_columns(quantities: Sequence[str], *, averaged: bool) -> tuple[str, ...]:
     """Return the names of the columns that hold the uncertainties of some quantities; of means, with their shares."""
     leads = ("u_", "U95_", *(("u_random_", "u_common_") if averaged else ()))
     return tuple(f"{lead}{name}" for lead in leads for name in quantities)
 
 
-def uncertainty_table(
-    uncertainty: Callable[[KernelChunk], Array], chunk: KernelChunk, *, averaged: bool = False
-) -> Array:
+def uncertainty_table(uncertainty: Callable[[KernelChunk], Array], chunk: KernelChunk, *, averaged: bool) -> Array:
     """Return :func:`uncertainty_columns` of rows, rounded up, (columns, n), from (2, quantities, n) of a function."""
     table = uncertainty(chunk)
     if averaged:

@@ -246,7 +246,7 @@ class MountingEstimate:
     stated: bool  # whether these were stated
 
 
-def mounting_rotation(read: Array, known: Array, sigma: Array | None = None) -> Array:
+def mounting_rotation(read: Array, known: Array, sigma: Array | None) -> Array:
     """Return the rotation matrix from directions as read to those as set, unit, (n, 3), by their u, (n,)."""
     from scipy.spatial.transform import Rotation
 
@@ -260,7 +260,7 @@ def mounting_rotation(read: Array, known: Array, sigma: Array | None = None) -> 
     return np.asarray(rotation.as_matrix())
 
 
-def solve_mounting(read: Array, known: Array, sigma: Array | None = None) -> MountingEstimate:
+def solve_mounting(read: Array, known: Array, sigma: Array | None) -> MountingEstimate:
     """Return the mounting by :func:`mounting_rotation`; without ``sigma`` the residuals show the uncertainty."""
     matrix, weights = mounting_rotation(read, known, sigma), _weights(known, sigma)
     turned = read @ matrix.T

@@ -84,13 +84,13 @@ def tempco_from_two_temperatures(
     return (reading_1 - reading_2) / (temperature_1 - temperature_2)
 
 
-def referenced_reading(reading: float, temperature: float, tempco: float, reference: float = 0.0) -> float:
+def referenced_reading(reading: float, temperature: float, tempco: float, reference: float) -> float:
     """Section C: what a reading would be at the reference temperature, 0 °C in the paper."""
     return reading - tempco * (temperature - reference)
 
 
 def referenced_tilt(
-    reading: float, temperature: float, offset: float, scale: float, tempco: float, reference: float = 0.0
+    reading: float, temperature: float, offset: float, scale: float, tempco: float, reference: float
 ) -> float:
     """Section C: tilt of one axis from the reading at the reference temperature; NaN beyond ±1, as section A asks."""
     return _trapped_arcsine((referenced_reading(reading, temperature, tempco, reference) - offset) / scale)

@@ -102,7 +102,7 @@ def stuck_spans(columns: Sequence[Array], shortest: int = STUCK) -> list[Span]:
 
 
 def is_still(
-    change: float, uncertainty: float, limit: float, *, sigmas: float = 4.0, shown: bool = False, coverage: float = 2.0
+    change: float, uncertainty: float, limit: float, *, sigmas: float, shown: bool = False, coverage: float = 2.0
 ) -> bool:
     """Return whether a change along a line through some samples is none: up to a limit, or by noise of so many sigmas.
 

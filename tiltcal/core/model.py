@@ -177,7 +177,7 @@ class ModelReading:
     by_signal: Array
     by_temperature: Array
     sensitivity: Array
-    across: Array | None = None
+    across: Array | None
 
     @property
     def by_gravity(self) -> Array:
@@ -196,7 +196,7 @@ class ChannelModel:
 
     name: str
     axes: tuple[str, ...]
-    drift: int = 0
+    drift: int
     gain: int = 0
     nonlinearity: int = 0
     angles: AngleReadings | None = None

@@ -292,7 +292,7 @@ def _columns(tau: Array) -> Array:
     return np.stack([1.0 / tau, np.full(len(tau), FLICKER**2), tau / 3.0, tau**2 / 2.0], axis=1)
 
 
-def sample_size(noise: ChannelNoise, interval: float, target: float | None = None) -> tuple[int, Limit]:
+def sample_size(noise: ChannelNoise, interval: float, target: float | None) -> tuple[int, Limit]:
     """Return the smallest number of samples whose mean is as good as a target, or from which on more do not help."""
     most = round(float(noise.tau[-1]) / interval)
     samples = np.unique(np.geomspace(1, most, _SIZES).round().astype(np.int64))
@@ -302,7 +302,7 @@ def sample_size(noise: ChannelNoise, interval: float, target: float | None = Non
     return _useful(noise, samples, u)
 
 
-def sample_size_by_range(noise: ChannelNoise, target: float | None = None) -> int | None:
+def sample_size_by_range(noise: ChannelNoise, target: float | None) -> int | None:
     """Return the number of samples whose averages lie within a target, or from which on more bring them no nearer.
 
     None where those of the longest averages do not. Between the sizes of the source's Table I it is interpolated.

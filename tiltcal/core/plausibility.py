@@ -51,7 +51,7 @@ class ExpectedReadings:
         self._covariance = [prior + (sensitivity_spread**2 - CROSS_SPREAD**2) * np.diag(np.eye(4)[k]) for k in own]
         self._first_temperature: float | None = None
 
-    def distance(self, gravity: Vector, reading: Array, temperature: float | None = None) -> float:
+    def distance(self, gravity: Vector, reading: Array, temperature: float | None) -> float:
         """Return how many standard deviations a reading is from what ``gravity`` should give, in the worst channel."""
         means, deviations = self.in_g(gravity, temperature)
         misses = [abs(value - mean) for value, mean in zip(self._in_g(reading), means, strict=True)]

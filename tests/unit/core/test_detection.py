@@ -87,7 +87,7 @@ def test_the_noise_of_positions_is_that_before_rounding() -> None:
 )
 def test_still(change: float, uncertainty: float, shown: bool, still: bool) -> None:
     """By four standard uncertainties; to be shown within the limit by two."""
-    assert is_still(-change, uncertainty, 1.0, shown=shown) is still
+    assert is_still(-change, uncertainty, 1.0, sigmas=4.0, shown=shown) is still
 
 
 def test_a_run_of_a_noisy_reading_is_stuck_and_of_a_coarse_one_not() -> None:

@@ -34,7 +34,9 @@ def read(model: ChannelModel, theta: Array, up: Array, dt: Array) -> Array:
 
 
 @pytest.mark.parametrize("name", AXES)
-@pytest.mark.parametrize("angles", [None, AngleReadings(), AngleReadings(euler=True)], ids=["g", "tilts", "euler"])
+@pytest.mark.parametrize(
+    "angles", [None, AngleReadings(0.0, None), AngleReadings(0.0, True)], ids=["g", "tilts", "euler"]
+)
 def test_every_derivative_of_a_reading_is_that_of_differences(name: str, angles: AngleReadings | None) -> None:
     rng = np.random.default_rng(6)
     up = rng.normal(size=(12, 3))

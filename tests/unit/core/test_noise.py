@@ -6,7 +6,17 @@ import numpy as np
 import pytest
 from support import coloured_noise as coloured
 
-from tiltcal.core.noise import ChannelNoise, allan_variance, characterise, degrees_of_freedom, limits, sample_size
+from tiltcal.core.noise import (
+    AllanFit,
+    Average,
+    ChannelNoise,
+    allan_variance,
+    characterise,
+    degrees_of_freedom,
+    limits,
+    sample_size,
+    sample_size_by_range,
+)
 
 DT = 0.01
 """Seconds between samples."""
@@ -56,12 +66,18 @@ def test_the_limits_hold_the_truth() -> None:
 def test_kinds_of_noise() -> None:
     """White noise of 0.6 is 0.6 √dt at one second, its one-sided density 2 sigma² dt; the others by their formulas."""
     n = 400_000
-    for more, term, value, within in (
-        (np.zeros(n), "N", 0.6 * sqrt(DT), 0.03),
-        (coloured.flicker(rng(2), n, 0.05), "B", 0.05, 0.15),
-        (coloured.ramp(n, 1e-4), "R", 1e-4 / DT, 0.03),
+    for more, term, value, within, limit in (
+        (np.zeros(n), "N", 0.6 * sqrt(DT), 0.03, "record"),
+        (coloured.flicker(rng(2), n, 0.05), "B", 0.05, 0.15, "flicker"),
+        (coloured.ramp(n, 1e-4), "R", 1e-4 / DT, 0.03, "drift"),
     ):
-        terms = noise_of(white(n, 0.6) + more).terms
+        noise = noise_of(white(n, 0.6) + more)
+        terms = noise.terms
+        assert (sample_size(noise, DT, None)[1], noise.settled) == (limit, term != "N")
+        tau, lowest = noise.lowest
+        if term == "R":  # N²/τ + R² τ²/2 is least where N² = R² τ³
+            assert tau == pytest.approx((0.6**2 * DT / value**2) ** (1 / 3), rel=0.05)
+            assert lowest == pytest.approx(value * tau * sqrt(1.5), rel=0.05)
         assert set(terms.value) == {"N", term}
         assert terms.value[term] == pytest.approx(value, rel=within)
         assert terms.follows
@@ -70,18 +86,22 @@ def test_kinds_of_noise() -> None:
 
 def test_random_walk() -> None:
     """A single record tells it to a tenth at best, and may look like a drift; many tell the factor 1/3 from 1/2."""
-    records = [
-        noise_of(white(200_000, 0.6, seed) + coloured.walk(rng(seed + 99), 200_000, 2e-3)).terms for seed in range(16)
-    ]
-    walks = [terms.value["K"] for terms in records if set(terms.value) == {"N", "K"}]
+    records = [noise_of(white(200_000, 0.6, seed) + coloured.walk(rng(seed + 99), 200_000, 2e-3)) for seed in range(16)]
+    walks = [one.terms.value["K"] for one in records if set(one.terms.value) == {"N", "K"}]
     assert len(walks) >= 13
     assert np.mean(walks) == pytest.approx(2e-3 / sqrt(DT), rel=0.07)
+    assert [sample_size(one, DT, None)[1] for one in records].count("walk") >= 13
 
 
 def test_what_is_not_there_is_seldom_found() -> None:
     assert sum(set(noise_of(white(8192, seed=seed)).terms.value) != {"N"} for seed in range(40)) <= 3
     swaying = np.sin(2.0 * pi * 0.05 * DT * np.arange(50_000))
-    assert not noise_of(white(50_000, 0.1) + swaying).terms.follows
+    swayed = noise_of(white(50_000, 0.1) + swaying)
+    assert not swayed.terms.follows
+    assert sample_size(swayed, DT, None)[1] == "unknown"
+    place = int(np.argmin(swayed.deviation))
+    assert swayed.lowest == (swayed.tau[place], swayed.deviation[place])  # as it was measured
+    assert swayed.uncertainty(swayed.tau) == pytest.approx(swayed.deviation)
 
 
 def test_filtered_samples_are_not_taken_for_independent() -> None:
@@ -95,6 +115,34 @@ def test_filtered_samples_are_not_taken_for_independent() -> None:
 def test_within_the_record_more_samples_still_help() -> None:
     noise = noise_of(white(10_000))
     assert sample_size(noise, DT, 0.002) == (round(noise.tau[-1] / DT), "record")
+    samples, limit = sample_size(noise, DT, 0.1)
+    assert (samples, limit) == (pytest.approx(100, rel=0.03), "target")
+    assert noise.uncertainty(np.array([samples, samples - 1]) * DT) == pytest.approx([0.1, 0.1], rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("last", "target", "samples"),
+    [
+        *(
+            (0.0, 9.0, 1),
+            (0.0, 8.0, 1),
+            (0.0, 5.0, 5),
+            (0.0, 4.0, 10),
+            (0.0, 3.0, 25),
+            (0.0, 2.0, 86),
+            (0.0, 0.5, 1000),
+        ),
+        *((1.8, None, 100), (1.6, None, 1000), (1.6, 1.6, 1000), (1.6, 1.5, None)),
+    ],
+)
+def test_the_number_of_samples_by_the_range_of_their_averages(last: float, target: float, samples: int) -> None:
+    """8 units of single samples, 4 of ten, 1.9 of a hundred: between them on a straight line of logarithms.
+
+    By hand: log(8/5) / log(8/4) of a decade are 4.8 samples, log(4/3) / log(4/1.9) are 10 times 2.43.
+    """
+    averages = [Average(10**k, 99, 0.0, 1.0, width) for k, width in enumerate((8.0, 4.0, 1.9, last))]
+    one, terms = np.ones(1), AllanFit({"N": 1.0}, 0, np.ones(1), follows=True)
+    assert sample_size_by_range(ChannelNoise(0.0, 99, 0.0, averages, one, one, one, one, terms), target) == samples
 
 
 def test_flicker_noise_ends_what_averaging_gains() -> None:

@@ -97,6 +97,6 @@ def test_what_prints_angles_is_judged_in_g(slope: float, euler: bool) -> None:
     up = gravity_from_tilt({"x": 20.0, "y": 30.0})
     x, y = asin(up[0]), asin(up[1] / (cos(asin(up[0])) if euler else 1.0))
     near = [unit * (tan(angle) if slope else angle) for angle in (x, y)]
-    assert known.distance(up, np.array(near)) == pytest.approx(0.0, abs=1e-9)
+    assert known.distance(up, np.array(near), None) == pytest.approx(0.0, abs=1e-9)
     alone = [unit * (tan(asin(one)) if slope else asin(one)) for one in up[:2]]
     assert list(known.expected(up).values()) == pytest.approx(alone)

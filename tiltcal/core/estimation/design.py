@@ -139,7 +139,7 @@ def predict_uncertainty(
     design: Design,
     positions: Sequence[Observation],
     *,
-    sensitivity: float = 1.0,
+    sensitivity: float,
     drift: float = 0.0,
     sensors: int = 1,
     level: bool = False,

@@ -45,7 +45,7 @@ class InstrumentErrors:
     zero: float  # degrees
     scale: float  # share of the tilt
     alignment: float  # about the vertical of the plate, degrees
-    unread: float = 0.0  # of a tilt that it does not read, degrees, beyond the design's jig; not alike in all positions
+    unread: float  # of a tilt that it does not read, degrees, beyond the design's jig; not alike in all positions
 
     def moves(self, gravity: Array, settings: Indices) -> Array:
         """Return by how much each error moves gravity, (places, 3), at each place: (places, 3, errors), g."""

@@ -50,8 +50,8 @@ class EstimatedVariance:
 
     source: str
     value: float
-    dof: float = 0.0  # in how many directions the residuals show it
-    whole: float = 0.0  # the variance that they show there, with what the noise counts for in it
+    dof: float  # in how many directions the residuals show it
+    whole: float  # the variance that they show there, with what the noise counts for in it
     rest: float = 0.0  # sum of squares of the residuals that no such error explains
     count: int = 0  # and in how many directions
 

@@ -32,7 +32,7 @@ class PairCompensation:
     degrees, its components at twice the turning.
     """
 
-    def __init__(self, matchings: Sequence[Matching], phase: str | None = None) -> None:
+    def __init__(self, matchings: Sequence[Matching], phase: str | None) -> None:
         self._matchings = tuple(matchings)
         self._readings = tuple(dict.fromkeys(name for matching in matchings for name in matching.pair.channels))
         self._turns = TurnByTurn() if phase is not None and len(matchings) == 2 else None

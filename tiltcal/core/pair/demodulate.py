@@ -127,11 +127,9 @@ class Demodulation:
         return scores, weights, np.linalg.pinv(weights)
 
 
-def demodulate(
-    channels: Sequence[str], angle: Array, readings: Sequence[Array] | Array, whole: Mask | None = None
-) -> Demodulation:
+def demodulate(channels: Sequence[str], angle: Array, readings: Sequence[Array] | Array, whole: Mask) -> Demodulation:
     """Return the regression over the whole rows of a record, with angles in turns, (n,), and readings, (n,) each."""
-    places = np.arange(len(angle)) if whole is None else np.flatnonzero(whole)
+    places = np.flatnonzero(whole)
     if not len(places):
         raise EstimateError("no row of the record has an angle and all readings")
     size = ceil(max(float(angle[places[-1]] - angle[places[0]]), 1.0) / (_MOST_BLOCKS - 1))

@@ -109,7 +109,7 @@ class TestLean:
 
     def test_plan_counts_it_and_says_what_a_heading_brings(self) -> None:
         planned = [replace(one, u=np.full(2, NOISE)) for one in plane(np.random.default_rng(1), (0.0, 0.0))]
-        plan = predict_uncertainty(self.WANTED, planned)
+        plan = predict_uncertainty(self.WANTED, planned, sensitivity=1.0)
         assert plan.uncertain.u[0] == pytest.approx(self.BY_LEAN, rel=0.12)
         name, _, share = plan.worth_adding[0]
         assert name == "p0 with the fixture turned by 180°"
@@ -176,7 +176,7 @@ def test_gimbal_lock_is_stated_of_sensors_that_are_mounted_so(pitch: float, leas
 def test_the_errors_of_a_reference_are_the_same_in_all_positions() -> None:
     """Its zero, scale and alignment do not average out: 95 % of the intervals hold of 150 instruments."""
     draw, errors = np.random.default_rng(1), []
-    instrument = InstrumentErrors(("x", "y"), zero=0.02, scale=0.001, alignment=0.3)
+    instrument = InstrumentErrors(("x", "y"), zero=0.02, scale=0.001, alignment=0.3, unread=0.0)
     design = Design(("x", "y"), ("x", "y"), jig=0.01, instrument=instrument)
     truth, offset = np.array([[1000.0, 20.0], [-10.0, 990.0]]), np.array([50.0, -30.0])
     tilts = np.radians([(0, 0), (25, 3), (-20, 5), (4, 22), (-3, -25), (15, 15), (-17, 12), (10, -18)])

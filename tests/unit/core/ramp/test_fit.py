@@ -4,6 +4,7 @@ from math import sqrt
 
 import numpy as np
 import pytest
+from numpy.polynomial.polynomial import polyfit, polyval
 from scipy.integrate import solve_ivp
 
 from tiltcal.core.ramp.fit import fit_ramp
@@ -32,7 +33,7 @@ def delayed(seconds, pace, lag):
 
 
 def read(element):
-    return np.stack([np.polynomial.polynomial.polyval(element - REFERENCE, curve) for curve in CURVES], axis=1)
+    return np.stack([polyval(element - REFERENCE, curve) for curve in CURVES], axis=1)
 
 
 def fitted(seconds, thermometer, readings):
@@ -82,6 +83,37 @@ def test_a_lag_of_120_s_is_found_within_1_percent(pace, legs, lag):
     assert min(fit.explained) > 0.99
 
 
+def test_what_a_fit_says_of_legs_orders_and_loops_is_numpys():
+    record = made(1.0, noise=0.3, rows=320)
+    fit = fit_ramp(record, reference=REFERENCE)
+    means, draws = fit.means, fit.means.readings
+    dt, up = chamber(means.time, 1.0) - REFERENCE, np.isin(means.leg, (0, 2))
+    left_out = {
+        order: np.array(
+            [
+                np.mean((draws[own] - polyval(dt[own], polyfit(dt[~own], draws[~own], order)).T) ** 2, axis=0)
+                for own in (means.leg == number for number in range(4))
+            ]
+        )
+        for order in (1, 2, 3)
+    }
+    scale = np.std(draws - polyval(dt, polyfit(dt, draws, 3)).T, axis=0)
+    errors = {order: np.mean(left_out[order] / scale**2) for order in left_out}
+    assert fit.error_by_order == pytest.approx(errors, rel=0.01)
+    assert fit.order == min(errors, key=errors.get) == 3
+    np.testing.assert_allclose(fit.polynomial, np.sqrt(left_out[3]), rtol=0.01)
+    assert (fit.lag, fit.u_element, means.shift) == (0.0, 0.0, 0.0)
+    assert np.abs(fit.found_lag) < 3.0 * fit.u_lag
+    low, high = max(dt[up].min(), dt[~up].min()), min(dt[up].max(), dt[~up].max())
+    np.testing.assert_allclose(fit.places, np.linspace(low, high, 17)[1::2], rtol=1e-9)
+    design = np.hstack([np.vander(dt, 4), np.where(up, 1.0, -1.0)[:, None] * np.vander(dt, 3)])
+    half = np.linalg.lstsq(design, draws, rcond=None)[0][4:]
+    np.testing.assert_allclose(fit.loops, 2.0 * np.vander(fit.places, 3) @ half, atol=1e-4)
+    np.testing.assert_allclose(means.white, record.noise / np.sqrt(320 / len(dt)))
+    between = np.mean(np.diff(read(chamber(record.time, 1.0)), axis=0) ** 2, axis=0)
+    np.testing.assert_allclose(record.noise, np.sqrt(0.3**2 + between / 2.0), rtol=0.05)
+
+
 def test_hysteresis_without_time_is_no_lag_and_its_loop_is_in_the_uncertainty():
     """A play of 2 °C makes at one pace the loop of a lag of 60 s."""
     seconds = np.linspace(0.0, 4 * 2400.0, 2400)
@@ -113,7 +145,7 @@ def test_the_uncertainty_covers_the_curve(lag, wander):
     ("seconds", "noise", "within"),
     [
         (np.arange(0.0, 7200.0, 11.0), 0.0, 0.002),
-        (np.arange(0.0, 7200.0, 10.0), 0.05, 0.1),
+        (np.arange(0.0, 7200.0, 10.0), 0.03, 0.1),
         (np.add.outer(np.arange(0.0, 7200.0, 40.0), 0.001 * np.arange(10.0)).ravel(), 0.02, 0.05),
     ],
     ids=["rows far apart", "a noisy thermometer", "bursts of rows"],
@@ -127,6 +159,8 @@ def test_a_late_thermometer_leaves_the_curve_where_it_is(seconds, noise, within)
     assert fit.lag == pytest.approx(-120.0, rel=0.02)
     error = np.abs(curve_error(fit.coefficients))
     assert np.max(error) < within
+    if noise == 0.03:  # so few means that it is a fiftieth of their degrees, over √2
+        assert len(fit.means.leg) == pytest.approx(0.02 * 3 * 38.5 / (sqrt(2.0) * noise), rel=0.1)
     assert np.sqrt(np.mean((error / u_of_curve(fit)) ** 2)) < 2.0
     if not noise:  # what the filter of a log makes of the turns is in the uncertainty of a temperature
         in_log = ThermalLag(fit.lag)(seconds, late) - chamber(seconds, 1.0)
@@ -139,6 +173,8 @@ def test_steps_of_the_thermometer_are_not_taken_for_drift_of_a_quiet_sensor():
     readings = 3.0 * read(true) + 0.02 * draw.normal(size=(len(seconds), 2))
     for steps in (1.5, 4.0):
         fit = fitted(seconds, np.round(true / steps) * steps, readings)
+        reach = 2.0 * (round((LOW + SPAN) / steps) - round(LOW / steps))  # steps on the way up and down
+        assert fit.means.shift == pytest.approx(8.0 / reach * steps / sqrt(12.0), rel=0.06)
         error = np.abs(curve_error(fit.coefficients / 3.0))
         assert np.max(error) < 0.2
         assert np.mean(error <= 1.96 / 3.0 * u_of_curve(fit)) > 0.85

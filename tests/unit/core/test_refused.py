@@ -1,0 +1,99 @@
+"""What the core refuses, each with its reason."""
+
+from collections.abc import Callable
+from math import inf, nan, pi
+
+import numpy as np
+import pytest
+
+from tiltcal.core import closed_forms as forms
+from tiltcal.core.attitude import gravity_from_tilt, mounting_rotation, normalised
+from tiltcal.core.compensation import Compensated, Compensation
+from tiltcal.core.derived import intrinsic, separated
+from tiltcal.core.estimation.estimate import estimate
+from tiltcal.core.estimation.free import fit_free, planned_uncertain
+from tiltcal.core.estimation.positions import Design, Observation
+from tiltcal.core.model import AXES, Coefficients, Mounting, vector_of
+from tiltcal.core.noise import characterise, kinds_of_noise
+from tiltcal.core.pair.demodulate import demodulate
+from tiltcal.core.pair.stage import estimated_angle, stage_record
+from tiltcal.core.ramp.record import RampRecord, legs_of, ramp_record
+from tiltcal.core.uncertain import Uncertain
+from tiltcal.errors import EstimateError, InputError
+
+FLAT = Coefficients(("x", "y"), ("x", "y"), np.zeros(2), np.eye(2))
+THREE = Coefficients(AXES, AXES, np.zeros(3), np.eye(3))
+NONE = Uncertain.errors((), np.zeros((0, 0)))
+UP = np.eye(3)
+
+
+def of(*rows: tuple[float, ...], mounting: Mounting | None = None) -> Coefficients:
+    channels, axes = AXES[: len(rows)], AXES[: len(rows[0])]
+    return Coefficients(channels, axes, np.zeros(len(rows)), np.array(rows), mounting=mounting)
+
+
+def seen(name: str, temperature: float | None = None) -> Observation:
+    return Observation(name, UP[0], np.zeros(1), np.ones(1), temperature)
+
+
+def ramp(time: list[float], temperature: list[float], step: float = 0.0) -> RampRecord:
+    rows = len(time)
+    return RampRecord(np.array(time), np.array(temperature), np.zeros((rows, 1)), np.zeros(1), rows, "", step)
+
+
+REFUSED: list[tuple[Callable[[], object], type[Exception], str]] = [
+    (lambda: forms.cross_axis_sensitivity(0.0, 1.0, 1.0), EstimateError, "measuring direction has no cross-axis ratio"),
+    (lambda: forms.scale_from_tilt(2.0, 1.0, 0.0), EstimateError, "two level positions cannot determine a scale"),
+    (lambda: forms.tempco_from_two_temperatures(1, 2, 9, 9), EstimateError, r"same temperature \(9 °C\)"),
+    (lambda: forms.sensitivity_from_pair(3.5, 1.5, 0.0, 0.0), EstimateError, "tilt the axis up, then down"),
+    (lambda: forms.sensitivity_from_pair(3.5, 1.5, -0.5, 0.5), EstimateError, "magnitudes of the two tilts"),
+    (lambda: forms.sensitivity_from_pair(3.5, 1.5, 0.5, 1.6), EstimateError, "magnitudes of the two tilts"),
+    (lambda: gravity_from_tilt({"x": 1.0, "z": 1.0}), InputError, "tilt names axis 'z'"),
+    (lambda: gravity_from_tilt({"x": 90.5}), InputError, "a tilt of 90.5° is not between"),
+    (lambda: gravity_from_tilt({"y": nan}), InputError, "a tilt of nan° is not between"),
+    (lambda: gravity_from_tilt({"x": 60.0, "y": 31.0}), InputError, "no direction has a tilt of 60.0° on x and 31.0°"),
+    (lambda: normalised([0.0, 0.0, 0.0]), InputError, r"\[0, 0, 0\] has no direction"),
+    (lambda: normalised([0.0, 1.0]), InputError, "three finite numbers"),
+    (lambda: normalised([0.0, 1.0, inf]), InputError, "three finite numbers"),
+    (lambda: mounting_rotation(UP[:1], UP[:1], None), EstimateError, "same line in every position"),
+    (lambda: mounting_rotation(UP[[0, 0]], UP[[0, 0]] * [[1], [-1]], None), EstimateError, "same line in every"),
+    (lambda: Compensation(of((1, 2), (2, 4))), EstimateError, "singular"),
+    (lambda: Compensation(of((1, nan), (2, 4))), EstimateError, "singular"),
+    (lambda: Compensation(of((1, 0), (0, 1), (1, 1))), EstimateError, "3 channels .x, y, z. cannot .* 2 axes .x, y."),
+    (lambda: Compensation(of((1,), mounting=Mounting(0.1))), EstimateError, "a mounting rotation takes a sensor"),
+    (lambda: Compensation(THREE, first_order=True), EstimateError, "for two channels; this sensor has 3"),
+    (lambda: Compensation(of((0, 1), (1, 1)), first_order=True), EstimateError, "own axis: one is 0"),
+    (lambda: Compensation(FLAT)([[1.0]]), ValueError, r"shape \(1, 1\); the calibration takes \(n, 2\)"),
+    (lambda: Compensation(FLAT)([[1.0, 2.0]], [1.0, 2.0]), ValueError, r"shape \(2,\); the readings need \(1,\)"),
+    (lambda: Compensation(FLAT)([[1.0, 2.0]], out=Compensated.empty(1, 3)), ValueError, r"has shape \(1, 3\)"),
+    (lambda: separated(np.ones((3, 3))), EstimateError, "two channels measure the same axis"),
+    (lambda: separated(np.diag([1.0, 1.0, -1.0])), EstimateError, "left-handed frame"),
+    (lambda: intrinsic(FLAT, NONE), EstimateError, "three channels over three axes"),
+    (lambda: vector_of(FLAT, ["offset.z"]), EstimateError, "no coefficient 'offset.z'"),
+    (lambda: estimate([], Design(("x",), ("x",))), EstimateError, "no position was measured"),
+    (lambda: estimate([seen("a"), seen("a")], Design(("x",), ("x",))), EstimateError, "position a is there twice"),
+    (lambda: estimate([seen("a", 1.0), seen("b")], Design(("x",), (), 1)), EstimateError, "position b: a temperature"),
+    (lambda: fit_free(UP, UP, warmth=UP[0]), EstimateError, "3 free positions for 12 unknowns, three of them drifts"),
+    (lambda: planned_uncertain(UP, 1.0, 1.0), EstimateError, "3 free positions for 9 unknowns: .* nine positions, and"),
+    (lambda: characterise(np.tile([1.0, nan, nan, nan], 16), 1.0), EstimateError, "so much is missing"),
+    (lambda: kinds_of_noise(np.ones(1), np.array([inf]), np.ones(1, int), 64), EstimateError, "another unit"),
+    (lambda: demodulate("a", np.zeros(2), [np.zeros(2)], np.zeros(2, bool)), EstimateError, "no row of the record has"),
+    (lambda: demodulate("a", UP[0] * pi, [UP[0]], np.ones(3, bool)), EstimateError, "3 rows do not determine"),
+    (lambda: stage_record("a", np.full(3, nan), [UP[0]]).turns, EstimateError, "the record has 0.00 turns"),
+    (lambda: estimated_angle(np.full(3, nan), [UP[0]]), EstimateError, "no row has a time"),
+    (lambda: estimated_angle(UP[0], [np.full(3, nan)]), EstimateError, "no row of the record has all readings"),
+    (lambda: ramp_record(np.arange(31.0), np.zeros(31), [np.zeros(31)]), EstimateError, "has 31 rows .* too few"),
+    (lambda: legs_of(ramp([0, 2, 2], [0, 9, 0])), EstimateError, "goes back or stands still"),
+    (
+        lambda: legs_of(ramp([0, 1, 2], [0, 1.9, 0])),
+        EstimateError,
+        "by 1.9 °C in the record: a drift takes at least 2 ",
+    ),
+    (lambda: legs_of(ramp([0, 1], [0, 3.9], 0.5)), EstimateError, "3.9 °C in steps of 0.5 °C .* at least 4 °C"),
+]
+
+
+@pytest.mark.parametrize(("call", "kind", "said"), REFUSED, ids=[said[:30] for _, _, said in REFUSED])
+def test_refused(call: Callable[[], object], kind: type[Exception], said: str) -> None:
+    with pytest.raises(kind, match=said):
+        call()
