@@ -117,9 +117,9 @@ class CompensatedLog:
         self._lagged = any(sensor.lag for sensor in prepared.sensors)
         thermometers = [name for one in prepared.sensors if one.lead and (name := one.lead + TEMPERATURE) in log.names]
         require_no_signs(options["columns"], log.names)
-        named = named_columns(options["columns"], [*prepared.channels, *thermometers], prepared.roles)
-        for sensor in prepared.sensors:
-            named = {sensor.lead + axis: name for axis, name in sensor.named.items() if name in log.names} | named
+        of_fit = ((one.lead + axis, name) for one in prepared.sensors for axis, name in one.named.items())
+        named = {role: name for role, name in of_fit if name in log.names}
+        named |= named_columns(options["columns"], [*prepared.channels, *thermometers], prepared.roles)
         takes_time = TIME not in prepared.roles and (self._lagged or prepared.averaging is not None)
         timed = takes_time and (TIME in named or TIME in column_names(log.names, (TIME,), {}))
         roles = (*prepared.roles, *((TIME,) if timed else ()))
@@ -251,9 +251,10 @@ class ApplySummary:
             if lead:
                 of_sensor = self.sensors.setdefault(lead.removesuffix("_"), ApplySummary())
                 of_sensor.add({"flag": flags[-1], "reason": reasons[-1]})
-        self.rows += len(flags[0])
+        worst = np.maximum.reduce(flags)
+        self.rows += len(worst)
         self.bad_rows += bad_rows
-        count_flags(self.flags, self.reasons, np.maximum.reduce(flags), np.bitwise_or.reduce(reasons))
+        count_flags(self.flags, self.reasons, worst, np.bitwise_or.reduce(reasons))
 
     def as_data(self) -> dict[str, Any]:
         """Return the counts as plain data, every flag and reason that occurred."""

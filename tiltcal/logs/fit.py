@@ -88,6 +88,10 @@ def fit_recorded(
     with nullcontext() if table else open_recordings(data, skip_bad_rows=skip, progress=progress) as logs:
         header, options, signs = _header_of(logs, options)
         unknown = own is None and model is None
+        if signs and not unknown:
+            known_by = model.name if own is None and model is not None else "the base calibration"
+            why = f"turns the sign of {' and '.join(signs)}, and what {known_by} says is of its readings as they are"
+            raise UsageError(option="columns", why=why, advice="leave the minus out")
         unit = options["unit"] or (header.unit if unknown else None)
         by_length = unknown and unit is None and not steps.continuous and not header.units
         by_length = by_length and not (table and steps.known)

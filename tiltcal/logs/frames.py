@@ -16,7 +16,7 @@ import numpy as np
 from tiltcal.column_names import TIME
 from tiltcal.errors import InputError, UsageError
 from tiltcal.logs.cf_attributes import describe, in_seconds
-from tiltcal.logs.log import LogBlock, LogReader, LogSource, Table
+from tiltcal.logs.log import NO_ROWS, LogBlock, LogReader, LogSource, Table
 from tiltcal.stated_arguments import of_python
 
 if TYPE_CHECKING:
@@ -89,7 +89,7 @@ class FrameReader(LogReader):
         if len(rows) > 1:
             raise InputError("the columns differ in length", file=self.name)
         if 0 in rows:
-            raise InputError("the log has columns and no rows", file=self.name)
+            raise InputError(NO_ROWS, file=self.name)
         if not frames:
             return LogBlock(values, times=times)
         alike = {name: frame.column(name) for name in self.names if frame.dimensions(name) == (dimension,)}

@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 Table = Mapping[str, Array | NDArray[np.uint8] | NDArray[np.uint16] | NDArray[np.int64]]
 """The columns that a calibration adds to some rows, by name."""
 
+NO_ROWS = "the log has columns and no rows"
+
 Progress = Callable[[int, int | None], None]
 """Called with the bytes of a log that have been read, and with its size where that is known."""
 

@@ -49,7 +49,11 @@ class Recordings:
         """Return the rows of all logs, and those of each that is a position."""
         records = [read_readings(log, channels, columns, unit, others) for log in self.logs]
         ends = np.cumsum([len(record) for record in records]).tolist()
-        shared = [role for role in records[0].by_role if all(role in record.by_role for record in records)]
+        roles = dict.fromkeys(role for record in records for role in record.by_role)
+        absent = {role: [record.name for record in records if role not in record.by_role] for role in roles}
+        shared = [role for role, names in absent.items() if not names]
+        lacking = ((role, ", ".join(names)) for role, names in absent.items() if names)
+        self.logs[0].remarks += [f"{role} is left out of all logs: there is none in {names}" for role, names in lacking]
         by_role = {role: np.concatenate([record.by_role[role] for record in records]) for role in shared}
         joined = RecordedColumns(by_role, self.name, sum(record.faulty for record in records))
         named = zip(self.positions, [0, *ends], ends, strict=False)

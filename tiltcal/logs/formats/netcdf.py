@@ -26,7 +26,7 @@ from tiltcal.files.moments import to_the_second
 from tiltcal.logs.cf_attributes import COUNT, describe, is_judgement
 from tiltcal.logs.foreign_library import foreign_library
 from tiltcal.logs.frames import DatasetFrame, FrameReader
-from tiltcal.logs.log import LogBlock, LogSource, LogWriter, Table
+from tiltcal.logs.log import NO_ROWS, LogBlock, LogSource, LogWriter, Table
 from tiltcal.logs.streams import refusing
 
 _ROWS, _MOST_ROWS = 1 << 16, 1 << 21
@@ -69,7 +69,9 @@ class NetcdfReader(FrameReader):
         chunks = [self.data[self.names[index]].encoding.get("chunksizes") or (1,) for index in columns]
         longest = max(int(chunk[0]) for chunk in chunks)
         total, step = self.data.sizes[dimension], min(-(-_ROWS // longest) * longest, _MOST_ROWS)
-        for start in range(0, max(total, 1), step):
+        if not total:
+            raise InputError(NO_ROWS, file=self.name)
+        for start in range(0, total, step):
             rows = slice(start, min(start + step, total))
             with refusing(_DAMAGED, self.name), foreign_library.get()(self.name):
                 block = self._block(DatasetFrame(self.data.isel({dimension: rows})), columns, time, frames)

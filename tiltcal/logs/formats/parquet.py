@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 from tiltcal.errors import InputError
 from tiltcal.logs.foreign_library import foreign_library
-from tiltcal.logs.log import LogBlock, LogReader, LogSource, LogWriter, Table
+from tiltcal.logs.log import NO_ROWS, LogBlock, LogReader, LogSource, LogWriter, Table
 from tiltcal.logs.streams import read_ahead, refusing
 
 if TYPE_CHECKING:
@@ -44,7 +44,7 @@ class ParquetReader(LogReader):
         self.reads_ahead = bool(self._rows > _ROWS)
         self.names = tuple(self._schema)
         if not self._rows:
-            raise InputError("the log has columns and no rows", file=self.name)
+            raise InputError(NO_ROWS, file=self.name)
 
     def has_times(self, name: str, beside: int) -> bool:
         return super().has_times(name, beside) and not self._schema[name].is_nested()
