@@ -29,7 +29,7 @@ LIVE_PAUSE = 0.4
 """Seconds between live readings: fast enough to set an angle by, slow enough for the journal of a long night."""
 
 
-STYLES = {"accepted": "green", "refused": "bold red", "lost": "bold red", "held": "yellow"}
+STYLES = {"accepted": "green", "refused": "bold red", "lost": "bold red", "held": "yellow", "done": "green"}
 """The style of an event's lines."""
 
 
@@ -109,7 +109,7 @@ class TerminalKeys:
 
     def pressed(self, choices: str) -> str | None:
         key = self.choice(0.0)
-        return key if key is not None and key in choices else None
+        return key if key and key in choices else None
 
     def line(self) -> str:
         import tty
@@ -194,7 +194,7 @@ class Terminal(Screen, Operator):
                 self._overwrite([in_words(event)[0].strip()])
             case _:
                 for line in in_words(event):
-                    self._say(line, "green" if line.startswith("wrote ") else STYLES.get(event.kind, ""))
+                    self._say(line, STYLES.get(event.kind, ""))
 
     def _position(self, question: messages.PositionQuestion) -> object:
         """Show what to set, until a key is pressed; where none is for a moment, ask for a reading to show."""
