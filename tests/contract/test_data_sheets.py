@@ -1,7 +1,7 @@
 """Every driver against the bytes and figures of ``data_sheets.yaml``, through its public interface."""
 
 from functools import reduce
-from math import radians
+from math import hypot, radians
 from operator import xor
 from pathlib import Path
 from typing import Any
@@ -89,7 +89,24 @@ def test_the_bytes_of_a_data_sheet_are_its_readings(sheet: dict[str, Any], row: 
 def test_the_facts_of_a_model_are_those_of_its_data_sheet(sheet: dict[str, Any], row: dict[str, Any]) -> None:
     model = at(sheet, row.get("at", ""))
     for name, expected in row.items():
-        if name in ("gain", "drift"):
+        if name == "start":
+            device = VirtualDevice(find_model(sheet["model"]), row.get("at", ""))
+            began = device.clock.now_ns()
+            device.sensor.read()
+            assert 0.0 <= (device.clock.now_ns() - began) / 1e9 - float(expected) < 6e-3
+        elif name == "limits":
+            # The errors of a part are evenly distributed, so the largest of many comes near its limit.
+            drawn, unit = [model.default_truth(seed) for seed in range(100)], model.sensitivity
+            rows = [(channel, part.sensitivity[channel]) for part in drawn for channel in model.channels]
+            found = (
+                max(hypot(*(k for axis, k in row.items() if axis != channel)) / row[channel] for channel, row in rows),
+                max(abs(slope) / unit for part in drawn for (slope,) in part.drift.values()),
+                max(abs(slope) for part in drawn for (slope,) in part.gain.values()),
+                max(abs(part.thermometer_error) for part in drawn),
+            )
+            for one, limit in zip(found, map(float, expected), strict=True):
+                assert 0.97 * limit <= one <= limit, (found, expected)
+        elif name in ("gain", "drift"):
             unit = 0.01 if name == "gain" else model.sensitivity * radians(1.0)
             assert getattr(model.population, name) == pytest.approx([unit * float(k) for k in expected]), name
         elif name != "at":

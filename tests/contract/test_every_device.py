@@ -38,10 +38,7 @@ OPTIONS = {
         "columns=x@0:int16*0.001,y@8:int32*0.0001,temperature@0x20:float64&order=cdab&table=input&measured_in=g",
         "columns=x@0:float64,y@9:int32*1e-6,temperature@4:int16*0.1&order=dcba",
     ],
-    "sca100t-d02-analog": [
-        "vdd=4.9",
-        "x=3&y=0&supply=1&rate=860",
-    ],
+    "sca100t-d02-analog": ["vdd=4.9", "x=3&y=0&supply=1&rate=860"],
     "sca3000-i2c": ["counts_per_g=500&thermometer=yes&pointer=command"],
     "sca3300-d01": ["range=6g", "range=1.5g-10hz"],
     "scl3300": ["range=low-noise", "range=2.4g"],

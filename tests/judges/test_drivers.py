@@ -120,44 +120,14 @@ def celsius(sensor: Any) -> float:
 SIXTEENTHS = {"2g": 16380 / 16, "4g": 8190 / 16, "8g": 4096 / 16, "16g": 1365 / 16}
 JUDGES = (
     # It takes a digit of 1/256 g to be 4 mg; setting a range turns full resolution on.
-    Judge(
-        "adxl345",
-        "adafruit_adxl34x",
-        by_adafruit("ADXL345"),
-        dict.fromkeys(ACCELEROMETER, 250.0),
-        near=0.03,
-    ),
+    Judge("adxl345", "adafruit_adxl34x", by_adafruit("ADXL345"), dict.fromkeys(ACCELEROMETER, 250.0), near=0.03),
     # It takes the 1, 2, 4 and 12 mg of a digit to be 1/16 of 1/16380 g and so on, and 1 g to be 9.806 m/s².
+    Judge("lis3dh", "adafruit_lis3dh", by_adafruit("LIS3DH_I2C"), SIXTEENTHS, 9.806, near=0.03),
+    Judge("lis3dh", "adafruit_lis3dh", by_adafruit("LIS3DH_SPI"), SIXTEENTHS, 9.806, "s", near=0.03),
     Judge(
-        "lis3dh",
-        "adafruit_lis3dh",
-        by_adafruit("LIS3DH_I2C"),
-        SIXTEENTHS,
-        9.806,
-        near=0.03,
+        "mpu6050", "adafruit_mpu6050", by_adafruit("MPU6050", "accelerometer_range"), halved(16384.0), celsius=celsius
     ),
-    Judge(
-        "lis3dh",
-        "adafruit_lis3dh",
-        by_adafruit("LIS3DH_SPI"),
-        SIXTEENTHS,
-        9.806,
-        "s",
-        near=0.03,
-    ),
-    Judge(
-        "mpu6050",
-        "adafruit_mpu6050",
-        by_adafruit("MPU6050", "accelerometer_range"),
-        halved(16384.0),
-        celsius=celsius,
-    ),
-    Judge(
-        "icm20948",
-        "adafruit_icm20x",
-        adafruits_icm20948,
-        halved(16384.0),
-    ),
+    Judge("icm20948", "adafruit_icm20x", adafruits_icm20948, halved(16384.0)),
     Judge(
         "icm20948",
         "micropython_icm20948.icm20948",
@@ -201,19 +171,9 @@ JUDGES = (
         celsius=lambda sensor: sensor.getTemperature(),
     ),
     Judge(
-        "lsm6ds3tr-c",
-        "adafruit_lsm6ds.lsm6ds3trc",
-        with_codes(LSM, "LSM6DS3TRC"),
-        halved(1e3 / 0.061),
-        celsius=celsius,
+        "lsm6ds3tr-c", "adafruit_lsm6ds.lsm6ds3trc", with_codes(LSM, "LSM6DS3TRC"), halved(1e3 / 0.061), celsius=celsius
     ),
-    Judge(
-        "lsm6dsox",
-        "adafruit_lsm6ds.lsm6dsox",
-        with_codes(LSM, "LSM6DSOX"),
-        halved(1e3 / 0.061),
-        celsius=celsius,
-    ),
+    Judge("lsm6dsox", "adafruit_lsm6ds.lsm6dsox", with_codes(LSM, "LSM6DSOX"), halved(1e3 / 0.061), celsius=celsius),
     # It takes the LSM6DS3's 16 counts for 1 °C to be 256, as its successors have.
     Judge("lsm6ds3", "adafruit_lsm6ds.lsm6ds33", with_codes(LSM, "LSM6DS33"), halved(1e3 / 0.061)),
     # An IIS2ICLX as its sibling with the same registers, codes and identity; only the counts are its own.
@@ -226,19 +186,9 @@ JUDGES = (
         values=lambda sensor: sensor._raw_accel_data[:2],
         celsius=celsius,
     ),
-    Judge(
-        "mma8451",
-        "adafruit_mma8451",
-        by_adafruit("MMA8451"),
-        halved(4096.0, ACCELEROMETER[:3]),
-    ),
+    Judge("mma8451", "adafruit_mma8451", by_adafruit("MMA8451"), halved(4096.0, ACCELEROMETER[:3])),
     # It takes the part's 12 bits for 14.
-    Judge(
-        "msa311",
-        "adafruit_msa3xx",
-        by_adafruit("MSA311"),
-        halved(1024.0),
-    ),
+    Judge("msa311", "adafruit_msa3xx", by_adafruit("MSA311"), halved(1024.0)),
     # 3.9 µg a digit.
     Judge(
         "adxl355",

@@ -17,18 +17,9 @@ SENTENCES_A_SECOND = 250
 
 @dataclass
 class Adxl202Part:
-    """The part, its pose and its line.
+    """The part, its pose and its line: duty cycles at 0 g and 24 °C, their change per °C, and per g rows of X and Y.
 
-    Attributes
-    ----------
-    offset, drift : tuple of float
-        Duty cycle at 0 g and 24 °C, and its change per °C, of X and Y.
-    sensitivity : tuple of tuple of float
-        A row for X and one for Y, columns x and y, per g.
-    damage_one_in : int
-        0 damages none.
-    sent, damaged : int
-        Sentences so far.
+    ``damage_one_in`` 0 damages none; ``sent`` and ``damaged`` are sentences so far.
     """
 
     offset: tuple[float, float] = (0.5123, 0.4868)

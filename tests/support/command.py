@@ -26,14 +26,8 @@ def tiltcal(
     A process of its own takes a second to start, and tells no more unless the test is about the process: a signal, a
     pipe, what is imported. An exception that is not ours leaves this function as it is.
 
-    Parameters
-    ----------
-    said
-        Standard input, which is a pipe.
-    merged
-        Standard error goes where standard output goes.
-    code
-        The exit code that the command must have.
+    ``said`` is standard input, which is a pipe; ``merged``: standard error goes where standard output goes; ``code`` is
+    the exit code that the command must have.
     """
     with _printed() as stdout, _printed() as stderr, _pipe(said) as stdin:
         found = called(args, cwd, stdin, stdout, stdout if merged else stderr)

@@ -20,16 +20,9 @@ CLOCK = 16_000_000
 
 @dataclass(frozen=True)
 class Pulses:
-    """Both outputs of a part, in cycles of 62.5 ns.
+    """Both outputs of a part, in cycles of 62.5 ns: T2, and T1 of each axis; 0 is an output without pulses.
 
-    Attributes
-    ----------
-    period, x, y : int
-        T2, and T1 of each axis; 0 is an output without pulses.
-    skew : int
-        How much later y is than x.
-    centred : bool
-        Whether the centres of both pulses are so far apart, and not their rises.
+    ``skew`` is how much later y is than x; ``centred`` whether that is said of the centres, and not of the rises.
     """
 
     period: int = 160_000
@@ -57,12 +50,7 @@ def missing() -> str | None:
 
 @dataclass(frozen=True)
 class Board:
-    """A board with the firmware.
-
-    Attributes
-    ----------
-    harness, elf : Path
-    """
+    """A board with the firmware."""
 
     harness: Path
     elf: Path
@@ -89,13 +77,7 @@ class Board:
 
 
 class RunningBoard:
-    """A board whose part can be moved.
-
-    Attributes
-    ----------
-    path : str
-        Its serial port.
-    """
+    """A board whose part can be moved; ``path`` is its serial port."""
 
     def __init__(self, path: str, process: subprocess.Popen[str], pulses: Pulses) -> None:
         self.path = path

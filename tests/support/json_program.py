@@ -42,12 +42,9 @@ def ready(message: Event) -> Event | None:
 
 
 def lead(*args: str | Path, cwd: Path, answer: Callable[[Event], object] = ready) -> ProgramSession:
-    """Call ``tiltcal`` with ``--operator json`` and answer it to its end.
+    """Call ``tiltcal`` with ``--operator json``, and answer each message with what a function returns.
 
-    Parameters
-    ----------
-    answer
-        From each message to what the program says: an object, a line of text, ``None`` for nothing, or ``GONE``.
+    That is an object, a line of text, ``None`` for nothing, or ``GONE``.
     """
     session = ProgramSession()
     reading, writing = os.pipe()

@@ -5,15 +5,10 @@ from tiltcal.errors import BusError
 
 
 class Script:
-    """A link for a driver under test.
+    """A link for a driver under test, by its letter, with lines of ``out / in`` in hexadecimal.
 
-    Parameters
-    ----------
-    letter : str
-    clock : VirtualClock
-    *lines : str
-        ``out / in`` in hexadecimal; ``xx`` stands for a byte that means nothing, ``unplugged`` for a failure, and
-        ``09 +6 / in`` on I2C writes 09 and reads six bytes.
+    ``xx`` stands for a byte that means nothing, ``unplugged`` for a failure, and ``09 +6 / in`` on I2C writes 09 and
+    reads six bytes.
     """
 
     def __init__(self, letter: str, clock: VirtualClock, *lines: str) -> None:

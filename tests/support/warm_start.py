@@ -57,13 +57,7 @@ def wait_until_grown(process: subprocess.Popen[Any], file: Path, size: int) -> N
 
 
 class WarmStart:
-    """A running server.
-
-    Attributes
-    ----------
-    program : list of str
-        What stands for ``python -m tiltcal`` in a command line.
-    """
+    """A running server; ``program`` is what stands for ``python -m tiltcal`` in a command line."""
 
     def __init__(self, path: Path) -> None:
         self._path = str(path)

@@ -2,7 +2,7 @@
 
     read_sensor.py MODEL ADDRESS
 
-Commands: ``probe``, ``read COUNT``, ``exchange TIMES BYTES`` (in hexadecimal), ``reopen``.
+Commands: ``probe``, ``read COUNT``, ``reopen``.
 """
 
 import json
@@ -29,10 +29,6 @@ def main(name: str, written: str) -> None:
                 link = open_link(address, model)
                 sensor = model.driver(link, SystemClock(time.time_ns()))
                 answer: dict[str, object] = {}
-            elif command == "exchange":
-                for _ in range(int(arguments[0])):
-                    link.exchange(bytes.fromhex(arguments[1]))
-                answer = {}
             elif command == "probe":
                 answer = dict(sensor.probe())
             else:

@@ -9,13 +9,7 @@ from hypothesis import strategies as st
 from support.arriving_pieces import ArrivingPieces
 
 from tiltcal.drivers import find_model
-from tiltcal.drivers.adxl202 import (
-    Adxl202Edges,
-    Adxl202Sentences,
-    Cycle,
-    PulseTrains,
-    missing,
-)
+from tiltcal.drivers.adxl202 import Adxl202Edges, Adxl202Sentences, Cycle, PulseTrains, missing
 from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.bus.clock import VirtualClock
 from tiltcal.drivers.bus.gpio import Edge, pack_edges

@@ -1,5 +1,7 @@
 """The SCA100T family: the self-test, what the probe says, and the tolerances of virtual parts."""
 
+from dataclasses import replace
+
 import pytest
 from support.scripted_link import Script
 
@@ -81,6 +83,10 @@ def test_virtual_parts_test_themselves() -> None:
             sensor = model.driver(model.twin(model.default_truth(seed), Fixture(clock), clock), clock)
             for channel in model.channels:
                 assert sensor.self_test(channel).passed
+    for ambient, byte in ((-60.0, 0xFF), (24.0, 0xAB), (190.0, 0x00)):  # 197 - 1.083 T
+        clock = VirtualClock()
+        part = D02.twin(replace(D02.default_truth(1), thermometer_error=0.0), Fixture(clock, ambient=ambient), clock)
+        assert part.exchange(b"\x08\x00")[1] == byte
     clock = VirtualClock()
     truth = Truth(("x", "y"), {"x": 1024.0, "y": 1030.0}, {"x": {"x": 819.0}, "y": {"y": 819.0}})
     fixture = Fixture(clock)
