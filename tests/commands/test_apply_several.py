@@ -10,7 +10,7 @@ from concurrent.futures import Future
 from contextlib import nullcontext, suppress
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, NoReturn
 
 import pytest
 from support import FIXTURES
@@ -28,25 +28,42 @@ def bench(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def lines(path: Path) -> int:
-    return len(path.read_text().splitlines())
-
-
-def test_each_goes_into_the_folder_under_its_name(bench: Path) -> None:
-    done = tiltcal("apply", CAL, "log1.csv", "log2.csv", "log3.csv", "-o", "tilt", "--json", cwd=bench, code=0)
-    told = json.loads(done.stdout)["logs"]
-    assert [one["rows"] for one in told.values()] == [1, 2, 3]
-    assert [lines(bench / "tilt" / f"log{rows}.csv") for rows in (1, 2, 3)] == [2, 3, 4]
-    alone = tiltcal("apply", CAL, "log2.csv", cwd=bench)
-    assert (bench / "tilt" / "log2.csv").read_text() == alone.stdout
-
-
-def test_a_bad_log_is_named_and_the_others_are_done(bench: Path) -> None:
+def test_each_goes_into_the_folder_under_its_name_and_a_bad_one_is_named(bench: Path) -> None:
+    logs = ("log1.csv", "log2.csv", "log3.csv")
+    told = json.loads(tiltcal("apply", CAL, *logs, "-o", "tilt", "--json", cwd=bench, code=0).stdout)["logs"]
+    assert [(log, one["output"], one["rows"]) for log, one in told.items()] == [
+        (log, f"tilt/{log}", rows) for rows, log in enumerate(logs, start=1)
+    ]
+    alone = {log: tiltcal("apply", CAL, log, cwd=bench).stdout for log in logs}
+    assert {path.name: path.read_text() for path in (bench / "tilt").iterdir()} == alone
     (bench / "log2.csv").write_text("x,y\n1,oops\n")
-    done = tiltcal("apply", CAL, "log1.csv", "log2.csv", "log3.csv", "-o", "tilt", cwd=bench, code=2)
-    assert "log2.csv failed and is left out: log2.csv:2: column 'y': 'oops' is no number" in done.stderr
-    assert "1 of 3 logs failed" in done.stderr
-    assert sorted(path.name for path in (bench / "tilt").iterdir()) == ["log1.csv", "log3.csv"]
+    done = tiltcal("apply", CAL, "log1.csv", "log2.csv", "-o", "new/tilt", cwd=bench, code=2)
+    assert done.stderr.splitlines() == [
+        "new/tilt/log1.csv: 1 row",
+        "  flag 1 pass: 1",
+        "log2.csv failed and is left out: log2.csv:2: column 'y': 'oops' is no number",
+        "tiltcal: 1 of 2 logs failed; the others are written",
+    ]
+    assert [path.name for path in (bench / "new" / "tilt").iterdir()] == ["log1.csv"]
+    failed = tiltcal("apply", CAL, "log2.csv", "-o", "tilt", "--json", cwd=bench, code=2)
+    assert (failed.stdout, failed.stderr.splitlines()[-1]) == ('{"logs": {}}\n', "tiltcal: 1 of 1 logs failed")
+
+
+def test_an_error_that_nothing_foresees_costs_its_log_alone(bench: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A block of rows without what the writer needs; Ctrl-C ends all."""
+    monkeypatch.delenv("TILTCAL_TRACEBACK")
+    for error, code in ((TypeError("odd"), 2), (KeyboardInterrupt(), 130)):
+        with monkeypatch.context() as broken:
+            broken.setattr("tiltcal.library.recorded.apply_to_log", lambda *_words, error=error: _raise(error))
+            done = tiltcal("apply", CAL, "log1.csv", "log2.csv", "-o", "tilt", cwd=bench, code=code)
+        assert (
+            done.stderr.count("failed and is left out: this is an error of tiltcal: TypeError: odd") == (code == 2) * 2
+        )
+        assert done.stderr.count(", with log2.csv. Report it") == (code == 2)
+
+
+def _raise(error: BaseException) -> NoReturn:
+    raise error
 
 
 @pytest.mark.parametrize("address", ["tcp://127.0.0.1:1", "nonsense"])
@@ -58,16 +75,33 @@ def test_a_scheduler_that_does_not_answer_is_named(address: str, bench: Path) ->
     assert not list((bench / "tilt").iterdir())
 
 
-def test_a_lost_scheduler_is_named(bench: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_a_scheduler_loses_is_named_with_its_log(bench: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """It cancels what has not begun; a stand-in for ``distributed``, whose client is a context."""
-    cancelled: Future[Any] = Future()
-    cancelled.cancel()
-    client = nullcontext()
-    vars(client)["submit"] = lambda *args, **how: cancelled
+    client, given = nullcontext(), []
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    words = ("apply", CAL, "log1.csv", "log2.csv", "log3.csv", "-o", "tilt", "--scheduler", "tcp://127.0.0.1:1")
+    assert "pip install 'tiltcal[cluster]'" in tiltcal(*words, cwd=bench, code=2).stderr
+
+    def submit(function: Any, calibration: Path, log: str, output: str, *how: Any, pure: bool) -> Future[Any]:
+        given.append((calibration, Path(log).relative_to(bench), Path(output).relative_to(bench), pure))
+        future: Future[Any] = Future()
+        if log.endswith("1.csv"):
+            future.cancel()
+        elif log.endswith("2.csv"):
+            future.set_exception(ImportError("no tiltcal"))
+        else:
+            future.set_result(function(calibration, log, output, *how))
+        return future
+
+    vars(client)["submit"] = submit
     stand_in = SimpleNamespace(Client=lambda *args, **how: client, as_completed=iter)
     monkeypatch.setitem(sys.modules, "distributed", stand_in)
-    done = tiltcal("apply", CAL, "log1.csv", "-o", "tilt", "--scheduler", "tcp://127.0.0.1:1", cwd=bench, code=2)
-    assert "log1.csv failed and is left out: the scheduler was lost" in done.stderr
+    said = tiltcal(*words, cwd=bench, code=2).stderr
+    assert "log1.csv failed and is left out: the scheduler was lost before its turn: start one, and repeat" in said
+    assert "log2.csv failed and is left out: its worker failed: ImportError('no tiltcal')\n" in said
+    assert said.endswith("tiltcal: 2 of 3 logs failed; the others are written\n")
+    assert given == [(CAL, Path(f"log{n}.csv"), Path(f"tilt/log{n}.csv"), False) for n in (1, 2, 3)]
+    assert [path.name for path in (bench / "tilt").iterdir()] == ["log3.csv"]
 
 
 def test_remarks_on_a_log_name_it_and_those_on_the_calibration_come_once(bench: Path) -> None:

@@ -14,19 +14,32 @@ def plan(*options: str, sensor: str = "sca100t-d02") -> dict:
     return json.loads(result.stdout)
 
 
-def test_noise_alone_is_the_closed_form() -> None:
-    """Four positions at ±30° of two axes, each mean good to s: u(offset) = s/2, u(S) = s/sqrt(2)/sin 30°."""
-    found = plan("plane", "--noise", "0.02", "--samples", "100", sensor="adxl202")["uncertainty"]
-    s = 0.02 / sqrt(100)
-    assert found["offset.x"] == pytest.approx(s / 2, rel=1e-3)
-    assert found["sensitivity.x.x"] == pytest.approx(s / sqrt(2) / 0.5, rel=1e-3)
+S = 0.02 / sqrt(100)
+"""Of each mean, duty: 0.125 are 1 g."""
+
+CLOSED_FORMS = {
+    # Four positions at ±30° of two axes, each mean good to s: u(offset) = s/2, u(S) = s/sqrt(2)/sin 30°.
+    "plane --noise 0.02 --samples 100": {"offset.x": S / 2, "sensitivity.x.x": S / sqrt(2) / 0.5},
+    # Level and 45° with noise near zero: the offset is uncertain by 0.125 duty/g times the jig.
+    "zero-45 --noise 1e-4 --samples 1000000 --jig 0.2": {"offset.x": 0.125 * radians(0.2)},
+    # In five positions up to 30°: about z gravity has a lever of 1/2 in four of them, so 4 (1/2)² = 1; about x of
+    # cos 30° in two and of 1 in three, so 2 (3/4) + 3 = 4.5; about y the same.
+    "mounting --jig 0.1 --noise 0": {
+        "mounting.yaw": 0.1, "mounting.roll": 0.1 / sqrt(4.5), "mounting.pitch": 0.1 / sqrt(4.5)
+    },
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("options", CLOSED_FORMS)
+def test_an_uncertainty_is_its_closed_form(options: str) -> None:
+    found = plan(*options.split(), sensor="sca100t-d02" if options.startswith("mount") else "adxl202")["uncertainty"]
+    assert {name: found[name] for name in CLOSED_FORMS[options]} == pytest.approx(CLOSED_FORMS[options], rel=1e-3)
 
 
 def test_the_tilt_is_told_in_degrees() -> None:
     """The same four means: u(offset) near level, at the ends u(S) sin 30° as well, where the slope is cos 30°."""
     found = plan("plane", "--noise", "0.02", "--samples", "100", sensor="adxl202")["tilt"]["x"]
-    signal = 0.02 / sqrt(100) / 0.125
-    level, end = signal / 2, hypot(signal / 2, signal / sqrt(2)) / cos(radians(30.0))
+    level, end = S / 0.25, hypot(S / 2, S / sqrt(2)) / 0.125 / cos(radians(30.0))
     expected = [[-30, 1.96 * degrees(end)], [0, 1.96 * degrees(level)], [30, 1.96 * degrees(end)]]
     assert found == [pytest.approx(pair, rel=2e-3) for pair in expected]
 
@@ -44,13 +57,6 @@ def test_advice_is_a_sentence() -> None:
     (position, coefficient, share), *_ = plan("six-face", "--jig", "0.1", sensor="adxl355")["worth_adding"]
     assert (position, coefficient) == ("x at +45°", "sensitivity.x.z")
     assert f"One more position, x at +45°, would cut the uncertainty of S_xz by {100 - 100 * share:.0f} %" in said
-
-
-def test_a_jig_adds_what_its_angle_is_worth() -> None:
-    """Level and 45° with noise near zero: the offset is uncertain by 0.125 duty/g times the jig."""
-    stated = ("zero-45", "--noise", "1e-4", "--samples", "1000000", "--jig", "0.2")
-    found = plan(*stated, sensor="adxl202")["uncertainty"]
-    assert found["offset.x"] == pytest.approx(0.125 * radians(0.2), rel=1e-3)
 
 
 def test_the_column_of_z_and_the_non_linearity_count_by_the_data_sheet() -> None:
@@ -123,15 +129,6 @@ def test_what_cannot_be_determined_is_refused_with_what_to_add(tmp_path: Path) -
         measured = measure(procedure="short.yaml", cwd=tmp_path)
         assert (measured.returncode, "1/" in measured.stderr) == (2, False), "refused before the first position"
         assert [path.name for path in tmp_path.iterdir()] == ["short.yaml"]
-
-
-def test_a_mounting_is_told_in_its_angles() -> None:
-    """By hand, in five positions up to 30°: about z gravity has a lever of 1/2 in four of them, so 4 (1/2)² = 1; about
-    x of cos 30° in two and of 1 in three, so 2 (3/4) + 3 = 4.5; about y the same."""
-    told = plan("mounting", "--jig", "0.1", "--noise", "0")["uncertainty"]
-    assert told["mounting.yaw"] == pytest.approx(0.1, rel=1e-3)
-    assert told["mounting.roll"] == pytest.approx(0.1 / sqrt(4.5), rel=1e-3)
-    assert told["mounting.pitch"] == pytest.approx(0.1 / sqrt(4.5), rel=1e-3)
 
 
 def test_an_angle_beyond_the_range_is_refused_as_measure_refuses_it(tmp_path: Path) -> None:
