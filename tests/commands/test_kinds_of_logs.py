@@ -10,7 +10,7 @@ import polars as pl
 import pytest
 from support import ROOT
 from support.command import tiltcal
-from support.kinds_of_logs import KINDS, OFFSET, READINGS, UNNAMED, write_kind
+from support.kinds_of_logs import ENCODINGS, KINDS, OFFSET, READINGS, UNNAMED, write_kind
 
 import tiltcal as library
 from tiltcal.errors import InputError
@@ -18,6 +18,7 @@ from tiltcal.log_head import dialect_of
 from tiltcal.logs.formats import open_log
 from tiltcal.logs.log import LogClock
 
+TWO_DIGITS = "Arduino monitor", "labels, three kinds of line", "line of units"
 PER_G = {"g": 1.0, "mg": 1e3, "m/s2": 9.80665, "mm/s2": 9806.65}
 
 
@@ -36,6 +37,20 @@ def test_a_kind_is_probed_fitted_and_applied(kind: str, tmp_path: Path) -> None:
     assert np.abs(np.array(offsets) - OFFSET).max() < 1e-3
     summary = tiltcal("apply", "a.yaml", log, "-o", "out.parquet", "--json", cwd=tmp_path)
     assert json.loads(summary.stdout)["rows"] == len(READINGS), summary.stderr
+    roles = {column["role"]: column["number"] - 1 for column in said["columns"] if column["role"]}
+    roles |= {one[0]: int(one[2:]) - 1 for one in UNNAMED.get(kind, "").split(",") if one}
+    where, time, per_g = [roles[axis] for axis in "xyz"], roles.get("time"), PER_G[found.sensor.unit]
+    with open_log(log) as opened:
+        blocks = list(opened.rows([*roles.values()], time))
+    read = np.concatenate([block.readings(where) for block in blocks])
+    np.testing.assert_allclose(read, per_g * READINGS, atol=0.00051 if kind not in TWO_DIGITS else 0.0051)
+    times = [] if time is None else np.concatenate([block.values[time] for block in blocks])
+    assert np.diff(times) == pytest.approx(0.01, abs=1e-6)
+    assert (said["rate"], said["bad_rows"], said["missing"]) == (None if time is None else 100.0, 0, {})
+    assert said["length"] == pytest.approx(1.0115 * per_g, rel=1e-3)
+    layout = said["layout"]["rows from line"], said["layout"]["encoding"], said["layout"]["clock in front"]
+    encoding = {"utf-16": "UTF-16", "cp1252": "Windows-1252"}.get(ENCODINGS.get(kind, ""), "UTF-8")
+    assert layout == (KINDS[kind][0].count("\n") + 1, encoding, "yes" if kind == "Arduino monitor" else None)
 
 
 def test_a_sentence_with_another_check_sum_is_no_row(tmp_path: Path) -> None:
