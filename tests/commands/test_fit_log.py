@@ -147,24 +147,6 @@ class TestRemarks:
 class TestTemperaturePoint:
     """A log of ``two-temperature`` in which the second point may not have been waited for."""
 
-    def arguments(self, cooling: float, *options: str) -> tuple[Any, ...]:
-        """The cold point cools by so many degrees while it is recorded; both thermometers scatter by 0.05 °C."""
-        draw, way = np.random.default_rng(6), (np.arange(100) - 50) / 49
-        warmth = np.where(way < 0, 24.0, 5.0 - cooling * (way - 0.5))
-        log = {axis: 1024.0 + 0.3 * (warmth - 24.0) + draw.normal(0.0, 0.5, 100) for axis in "xy"}
-        log["temperature"] = warmth + draw.normal(0.0, 0.05, 100)
-        return "two-temperature", log, spans(("level-warm", "level-cold"), 50), *SCA100T, *options
-
-    def test_one_that_was_heated_too_fast_is_refused_with_its_line(self, tmp_path: Path) -> None:
-        said = refused(tmp_path, *self.arguments(2.0))
-        assert "segments.csv:3: segment level-cold: the temperature drifts by -1.9" in said
-
-    def test_one_without_a_temperature_does_not_take_the_procedures(self, tmp_path: Path) -> None:
-        procedure, log, *rest = self.arguments(0.0)
-        log["temperature"] = [24.0] * 50 + [None] * 50
-        said = refused(tmp_path, procedure, log, *rest)
-        assert "segments.csv:3: segment level-cold: there is no temperature in its rows" in said
-
     def test_ten_minutes_after_a_leg_of_1_degree_a_minute_a_late_thermometer_is_refused(self, tmp_path: Path) -> None:
         """A thermometer that is 5 min late is still 0.7 °C behind; its last minute looks still."""
         time = np.arange(0.0, 4200.0, 2.0)

@@ -3,7 +3,6 @@
 from pathlib import Path
 
 import pytest
-from support.recordings import recording
 
 from tiltcal.errors import InputError
 from tiltcal.files.tables import Segment, TabledPosition, read_positions, read_segments
@@ -41,12 +40,6 @@ def test_segments_with_and_without_directions(tmp_path: Path) -> None:
         '\t{"position":"b","start":1,"end":5,"gx":0,"gy":0,"gz":-1}\n]'
     )
     assert segments(tmp_path, text) == [Segment("x-up", 5, 9, None, 2), Segment("b", 1, 5, (0.0, 0.0, -1.0), 3)]
-
-
-def test_segments_of_a_real_session() -> None:
-    found = read_segments(recording("ferraris_segments.csv"))
-    assert [segment.name for segment in found] == ["x-up", "x-down", "y-up", "y-down", "z-up", "z-down"]
-    assert found[1] == Segment("x-down", 1620, 2361, (-1.0, 0.0, 0.0), 3)
 
 
 def test_what_is_wrong_with_positions_is_told_with_its_line(tmp_path: Path) -> None:

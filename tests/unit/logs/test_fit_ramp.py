@@ -89,15 +89,6 @@ def test_the_error_that_all_temperatures_share_is_not_amplified_by_a_thermometer
     assert 0.2 < found.record.uncertainty.single_reading["temperature"] < 0.5
 
 
-def test_apply_takes_the_loop_out_of_the_log(calibration, record):
-    """The tilt of the level sensor: within 0.1° everywhere, where the thermometer alone leaves 4 °C, or 0.8°."""
-    with_lag = calibration.apply(record, columns={"time": "seconds"})["tilt_y"]
-    without = calibration.apply({k: v for k, v in record.items() if k != "seconds"})["tilt_y"]
-    means = [np.abs(tilt.reshape(-1, 20).mean(axis=1)) for tilt in (with_lag, without)]
-    assert means[0].max() < 0.05
-    assert means[1].max() > 0.4
-
-
 def test_the_step_of_a_thermometer_that_is_not_stated_is_in_the_uncertainty_of_a_temperature(record, base):
     """Rounding to 0.9 °C has a standard deviation of 0.9/√12 °C = 0.26 °C."""
     found = fitted(record | {"temperature": np.round(record["temperature"] / 0.9) * 0.9}, base=base)

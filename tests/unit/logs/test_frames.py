@@ -4,7 +4,6 @@ import subprocess
 import sys
 from collections.abc import Callable
 from datetime import UTC, datetime, timedelta, timezone
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,9 +19,6 @@ from tiltcal.library.calibration import Calibration, read
 from tiltcal.library.recorded import apply_log, match
 from tiltcal.logs.formats import open_log
 from tiltcal.logs.frames import rows_of
-from tiltcal.logs.kernel import RoleValues, prepare
-from tiltcal.logs.options import ApplyOptions
-from tiltcal.options import complete
 
 ROWS = 40_000  # more than a chunk of the kernel, and no multiple of one
 CAL = FIXTURES / "mavs.yaml"
@@ -86,19 +82,6 @@ def test_results_are_those_of_the_command(kind: str, written: pl.DataFrame) -> N
     assert "tilt_x" not in given
 
 
-def test_remarks_are_those_of_the_command(tmp_path: Path) -> None:
-    """A heading without a declination, and a lag without a time."""
-    frame = pl.DataFrame(READINGS | {"temperature": [20.0, 20.0], "mx": [20.0] * 2, "my": [0.0] * 2, "mz": [-40.0] * 2})
-    frame.write_csv(tmp_path / "log.csv")
-    of_log: list[str] = []
-    of_frame: list[str] = []
-    lagging = FIXTURES / "ramp.yaml"
-    apply_log(lagging, tmp_path / "log.csv", tmp_path / "out.csv", magnetometer="mx,my,mz", say=of_log.append)
-    read(lagging).apply(frame, magnetometer="mx,my,mz", say=of_frame.append)
-    assert of_frame == of_log
-    assert [text.split(":")[0] for text in of_frame] == ["note"] * 2
-
-
 def test_what_a_frame_states_about_itself_stays(calibration: Calibration) -> None:
     """As the serial number by which a folder is searched."""
     frame = pd.DataFrame(READINGS)
@@ -157,24 +140,6 @@ def test_a_frame_is_read_like_a_log() -> None:
             (block,) = reader.rows(where, where[0])
             assert block.values[where[0]].tolist() == [1777636800.5, 1777636801.75], type(given)
             assert block.values[where[1]].tolist() == [1.0, 2.0]
-
-
-@pytest.mark.parametrize("name", ["mavs", "six-face", "mounting", "temperature-sweep"])
-def test_results_do_not_depend_on_where_blocks_end(name: str) -> None:
-    """Files are cut into blocks, frames are not: sums in another order would differ in the last bit."""
-    found = read(FIXTURES / f"{name}.yaml")
-    assert isinstance(found, Calibration)
-    kernel = prepare(found.record, complete(ApplyOptions, {"uncertainty": True})).sensors[0].kernel
-    draw = np.random.default_rng(2)
-    span = abs(np.diag(found.coefficients.sensitivity)).max()
-    channels = len(found.coefficients.channels)
-    readings = np.asfortranarray(found.coefficients.offset + span * draw.uniform(-0.9, 0.9, (50_001, channels)))
-    temperature = draw.uniform(0.0, 30.0, len(readings))
-    whole = kernel(RoleValues(readings, temperature))
-    for rows in (slice(0, 7), slice(7, 20_011), slice(20_011, None)):
-        part = kernel(RoleValues(np.stack(readings[rows].T).T, temperature[rows]))
-        for column, values in part.items():
-            np.testing.assert_array_equal(values, whole[column][rows], err_msg=column)
 
 
 def test_what_an_array_masks_is_missing(calibration: Calibration) -> None:

@@ -17,7 +17,6 @@ from tiltcal.logs.match import match_log
 THETA = np.arange(0.0, 20 * 360.0, 7.0)
 PAIR = ("a1", "a2", "a4")
 PAIRS = [PAIR]
-LABORATORY = stage.record(start=37.0, offset=(0.5, -0.2, 0.1, 0.0), drift=(0.01, 0.0, -0.02, 0.03))
 
 
 def disk(scale: float) -> dict[str, np.ndarray]:
@@ -34,16 +33,6 @@ def frame(taken: stage.Record) -> dict[str, np.ndarray]:
 def matched(taken: stage.Record, pair: tuple[str, str, str] = PAIR) -> Matching:
     (found,) = match(frame(taken), [pair], phase="theta").matchings
     return found
-
-
-# The record of the laboratory
-
-
-def test_p_and_q_of_one_half_suppress_the_common_acceleration_5e4_times_in_the_other() -> None:
-    half = len(LABORATORY.time) // 2
-    found = matched(LABORATORY.rows(slice(None, half)))
-    assert stage.suppression(LABORATORY.rows(slice(half, None)), found.p, found.q) > 5e4
-    assert 5e4 < found.suppression["pq"] < 1e7
 
 
 SHARED = stage.record(seconds=80, noise=0.0)
@@ -73,16 +62,6 @@ def test_gain_for_a_gradient_is_what_eq_1_gives() -> None:
 
 
 # Uncertainty
-
-
-def test_intervals_hold_p_and_q_in_pink_noise() -> None:
-    """Of 25 turns with 1/f noise, those of white noise would hold 87 %; the coverage in full is in benchmarks/pairs."""
-    inside = []
-    for seed in range(200):
-        found = matched(stage.record(seconds=200, rate=5, noise=3e-3, corner=0.1, seed=seed))
-        error = np.abs(np.array([found.p, found.q]) - stage.truth())
-        inside.append(error < 1.96 * np.array([found.u_p, found.u_q]))
-    assert 0.92 < float(np.mean(inside)) < 0.98
 
 
 @pytest.mark.parametrize(

@@ -17,10 +17,7 @@ from tiltcal.library.calibration import Calibration, read
 from tiltcal.library.recorded import apply_log
 from tiltcal.logs.formats.csv import ColumnTypes
 from tiltcal.logs.formats.csv_rows import RowGrammar
-from tiltcal.logs.kernel import RoleValues, prepare
 from tiltcal.logs.means import GroupSize
-from tiltcal.logs.options import ApplyOptions
-from tiltcal.options import complete
 
 CAL = (
     PLAIN
@@ -133,19 +130,6 @@ def test_blocks_of_a_file_and_a_frame_give_the_same(cal: Calibration) -> None:
         assert found["count"].to_list() == whole["count"].to_list()
         np.testing.assert_allclose(found["tilt_x"], whole["tilt_x"], atol=1e-9)
         assert found["who"].to_list() == whole["who"].to_list()
-
-
-def test_the_uncertainty_of_a_mean_holds(cal: Calibration) -> None:
-    """Offset, sensitivity and each reading are off by random errors of the stated size; a mean is of 100 rows."""
-    draw = np.random.default_rng(100)
-    g_x, g_y = draw.uniform(-0.6, 0.6, (2, 20_000))
-    offset, noise = draw.normal(0.0, 0.003, 20_000), draw.normal(0.0, 0.04 / 10.0, 20_000)
-    own, other = draw.normal(2.0, 0.002, 20_000), draw.normal(0.0, 0.001, 20_000)
-    kernel = prepare(cal.record, complete(ApplyOptions, {"uncertainty": True, "average": 100})).sensors[0].kernel
-    readings = np.column_stack([2.5 + offset + own * g_x + other * g_y + noise, 2.5 + 2.0 * g_y])
-    table = kernel(RoleValues(readings, count=np.full(20_000, 100)))
-    error = np.abs(table["tilt_x"] - np.degrees(np.arcsin(g_x)))
-    assert 0.94 < np.mean(error <= table["U95_tilt_x"]) < 0.96
 
 
 def test_shares_are_those_worked_out_by_hand(cal: Calibration) -> None:

@@ -67,6 +67,16 @@ def bands(panel: Any) -> list[np.ndarray[Any, Any]]:
     return found
 
 
+Line = tuple[str, str, str, str, Any, Any]
+
+
+def require_lines(panel: Any, *lines: Line) -> None:
+    """Compare the lines of a panel: label, colour, line and mark, and x and y."""
+    assert looks(panel) == [line[:4] for line in lines]
+    for (*_, x, y), found in zip(lines, drawn(panel), strict=True):
+        np.testing.assert_allclose(found, [x, y], rtol=1e-9, atol=1e-12)
+
+
 def words(panel: Any) -> tuple[str, str]:
     return panel.get_xlabel(), panel.get_ylabel()
 
@@ -97,26 +107,26 @@ def test_the_error_of_the_tilt() -> None:
             *([("tilt [°]", "error, data sheet [°]")] * known),
             ("tilt [°]", "95 % interval, calibrated: ± [°]"),
         ]
-        pairs = [line for axis in curves for line in ((f"tilt of {axis}", *look(axis, "")), ("", *look(axis, "")))]
-        assert looks(panels[-1]) == pairs
+        pairs = (
+            line
+            for axis, one in curves.items()
+            for line in (
+                (f"tilt of {axis}", *look(axis, ""), one.tilt, one.alone),
+                ("", *look(axis, ""), one.tilt, one.reading),
+            )
+        )
+        require_lines(panels[-1], *pairs)
         thick, thin = panels[-1].lines[:2]
         assert thick.get_linewidth() > 2.0 * thin.get_linewidth() > 0.5
         assert panels[-1].get_ylim()[0] == 0.0
-        for (alone, single), curve in zip(
-            zip(*[iter(drawn(panels[-1]))] * 2, strict=True), curves.values(), strict=True
-        ):
-            np.testing.assert_array_equal(alone, [curve.tilt, curve.alone])
-            np.testing.assert_array_equal(single, [curve.tilt, curve.reading])
         largest = max(float(curve.alone.max()) for curve in curves.values())
         assert f"at most {largest:.2g}° over the range" in shown.svg
         assert shown.caption.startswith("Left: error" if known else "Half the 95 %")
         unknown = "There is no error before: no data sheet of a model own is known. No range of tilts was covered: ±30°"
         assert (unknown in shown.caption) != known
         if known:
-            assert looks(panels[0]) == [*(("", *look(axis, "")) for axis in curves), ("", INK, "-", "None")]
-            for line, curve in zip(drawn(panels[0]), curves.values(), strict=False):
-                np.testing.assert_array_equal(line, [curve.tilt, curve.before])
-            assert drawn(panels[0])[-1][1].tolist() == [0.0, 0.0]
+            raw = (("", *look(axis, ""), curve.tilt, curve.before) for axis, curve in curves.items())
+            require_lines(panels[0], *raw, ("", INK, "-", "None", [0, 1], [0, 0]))
 
 
 def look(channel: str, mark: str) -> tuple[str, str, str]:
@@ -177,17 +187,15 @@ def test_the_drift_over_temperature(name: str) -> None:
         return section["offset"][channel] + sum(c * (at - thermal["reference"]) ** k for k, c in powers)
 
     for panel, channel in zip(panels, channels, strict=False):
-        line, marks = look(channel, ""), look(channel, "mark")
-        assert [one[1:] for one in looks(panel)] == [
-            (line[0], "-", "None"), (GREY, "-", "None"), marks, (GREY, ":", "None")
-        ]  # fmt: skip
-        curve, joined, measured, reference = drawn(panel)
-        np.testing.assert_allclose(curve, [t, offset(channel, t)], rtol=1e-12)
-        residual = np.array([fitted[position][channel] for position in points])
-        at = np.array([*points.values()])
-        np.testing.assert_allclose(measured, [at, offset(channel, at) + residual], rtol=1e-12)
-        np.testing.assert_array_equal(joined, measured)
-        assert reference[0].tolist() == [thermal["reference"]] * 2
+        at, residual = np.array([(one, fitted[position][channel]) for position, one in points.items()]).T
+        measured, colour = offset(channel, at) + residual, LOOKS[channel][0]
+        require_lines(
+            panel,
+            ("", colour, "-", "None", t, offset(channel, t)),
+            ("", GREY, "-", "None", at, measured),
+            ("", *look(channel, "mark"), at, measured),
+            ("", GREY, ":", "None", [thermal["reference"]] * 2, [0, 1]),
+        )
         half, middle = widths(panel, thermal["reference"])
         factor = u["coverage_factor"][f"offset.{channel}"]
         assert half == pytest.approx(factor * u["offset"][channel], rel=0.02)
@@ -222,8 +230,7 @@ def test_what_a_log_holds() -> None:
     assert (shown.svg.count("Tilt over time in a.csv"), panels[0].figure.get_size_inches()[1]) == (1, 0.55 + 2.3)
     for panel, name, column in ((first, "tilt of x", angles[:, 0]), (second, "roll", angles[:, 1])):
         assert words(panel) == ("", f"{name} [°]")
-        np.testing.assert_array_equal(drawn(panel), [[minutes, column]])
-        assert looks(panel) == [("", BLUE, "None", ".")]
+        require_lines(panel, ("", BLUE, "None", ".", minutes, column))
     (patch,) = histogram.patches
     steps = patch.get_data()
     np.testing.assert_array_equal(steps.values, np.histogram(angles[np.isfinite(angles[:, 0]), 0], steps.edges)[0])
@@ -279,30 +286,22 @@ def test_the_allan_deviation(tmp_path: Path) -> None:
         assert words(panel) == ("averaging time [s]" if channel == "y" else "", f"Allan deviation of {channel} [V]")
         tau = np.geomspace(noise.tau[noise.terms.first], noise.tau[-1], 200)
         parts = noise.terms.parts(tau)
-        *kinds, total, measured = drawn(panel)
-        assert len(parts) > 1 or not kinds
-        for line, part in zip(kinds, parts.values(), strict=bool(kinds)):
-            np.testing.assert_allclose(line, [tau, part])
-        np.testing.assert_allclose(total, [tau, np.sqrt(sum(part**2 for part in parts.values()))])
-        np.testing.assert_allclose(measured, [noise.tau, noise.deviation])
+        follows = "fitted" if noise.terms.follows else "which does not follow it"
+        kinds = [(*names[kind], part) for kind, part in parts.items()] if len(parts) > 1 else []
+        whole = "sum" if kinds else names[next(iter(parts))][0]
+        total = np.sqrt(sum(part**2 for part in parts.values()))
+        require_lines(
+            panel,
+            *((name, GREY, dashes, "None", tau, part) for name, dashes, part in kinds),
+            (f"{whole}, {follows}", RED, "-", "None", tau, total),
+            ("", BLUE, "None", "o", noise.tau, noise.deviation),
+        )
         limits = np.stack([noise.low, noise.high], axis=1)
         np.testing.assert_allclose(bars(panel)[0][:, :, 1], limits)
         assert (panel.get_xscale(), panel.get_yscale()) == ("log", "log")
         assert panel.get_ylim() == pytest.approx((limits.min() / 1.6, limits.max() * 1.6))
         assert all(line.get_visible() for line in panel.get_xgridlines())
-        words_of_lines = [text.get_text() for text in panel.get_legend().get_texts()]
-        follows = "fitted" if noise.terms.follows else "which does not follow it"
-        several = len(parts) > 1
-        assert words_of_lines == [
-            *(names[kind][0] for kind in parts if several),
-            f"{'sum' if several else 'white noise'}, {follows}",
-            "measured, 95 %",
-        ]
-        assert [one[1:] for one in looks(panel)] == [
-            *((GREY, names[kind][1], "None") for kind in parts if several),
-            (RED, "-", "None"),
-            (BLUE, "None", "o"),
-        ]
+        assert panel.get_legend().get_texts()[-1].get_text() == "measured, 95 %"
     assert words(beside)[1] == "near level [°]"
     assert beside.get_ylim() == pytest.approx(np.degrees(np.array(first.get_ylim()) / 2.0))
     assert (beside.get_yscale(), beside.spines["right"].get_visible()) == ("log", True)
@@ -320,26 +319,21 @@ def test_the_spectra_of_a_pair_and_the_course_of_its_estimates(tmp_path: Path) -
     assert (words(spectra), words(turns)) == (
         ("frequency [Hz]", "amplitude density [reading/√(Hz)]"), ("turns", "distance from the end")
     )  # fmt: skip
-    spin, *lines = drawn(spectra)
-    assert spin[0].tolist() == [0.125, 0.125]
-    for factor, line in enumerate(lines, start=1):
-        np.testing.assert_allclose(line, [[0.1, 0.2], np.sqrt(factor) * np.array([2.0, 0.5])])
-    assert looks(spectra) == [
-        ("spin frequency", INK, ":", "None"),
-        *((name, colour, "-", "None") for name, colour in zip(densities, (GREY, RED, BLUE), strict=True)),
-    ]
+    colours = zip(densities, (GREY, RED, BLUE), (1.0, 2.0, 3.0), strict=True)
+    require_lines(
+        spectra,
+        ("spin frequency", INK, ":", "None", [0.125, 0.125], [0, 1]),
+        *((name, colour, "-", "None", [0.1, 0.2], np.sqrt(k * density[1:])) for name, colour, k in colours),
+    )
     away = np.abs(np.array(course) - [0.2, 0.101, 0.2, 0.101])
-    for index, line in enumerate(drawn(turns)[:4]):
-        np.testing.assert_allclose(line, [[1, 2, 3], np.maximum(away[:, index], 0.01)], rtol=1e-12)
-    assert drawn(turns)[4][1].tolist() == [0.05, 0.05]
+    series = ("p, loops", RED, "-"), ("q, loops", RED, "--"), ("p, recursive", BLUE, "-"), ("q, recursive", BLUE, "--")
+    away = np.maximum(away, 0.01).T
+    require_lines(
+        turns,
+        *((*one, "None", [1, 2, 3], distance) for one, distance in zip(series, away, strict=True)),
+        ("stated uncertainty", INK, ":", "None", [0, 1], [0.05, 0.05]),
+    )
     assert turns.get_ylim()[0] == 0.01
-    assert looks(turns) == [
-        ("p, loops", RED, "-", "None"),
-        ("q, loops", RED, "--", "None"),
-        ("p, recursive", BLUE, "-", "None"),
-        ("q, recursive", BLUE, "--", "None"),
-        ("stated uncertainty", INK, ":", "None"),
-    ]
     with drawings() as kept:
         draw_matching(tmp_path / "pair.svg", PairDrawing(frequency, densities, 0.125, "1/row"))
     (spectra,) = kept["tiltcal"].axes
@@ -403,10 +397,12 @@ def test_the_errors_of_the_demonstration(tmp_path: Path) -> None:
         draw_tilt_error(tmp_path / "error.svg", time, warm, before, after, "On the bench")
     *errors, temperature = kept["tiltcal"].axes
     for panel, axis in zip(errors, "xy", strict=True):
-        zero, raw, calibrated = drawn(panel)
-        assert zero[1].tolist() == [0.0, 0.0]
-        np.testing.assert_array_equal([raw, calibrated], [[[0, 1, 2], before[axis]], [[0, 1, 2], after[axis]]])
-        assert looks(panel)[1:] == [("data sheet's coefficients", RED, "-", "None"), ("calibrated", BLUE, "-", "None")]
+        require_lines(
+            panel,
+            ("", INK, "-", "None", [0, 1], [0, 0]),
+            ("data sheet's coefficients", RED, "-", "None", [0, 1, 2], before[axis]),
+            ("calibrated", BLUE, "-", "None", [0, 1, 2], after[axis]),
+        )
         assert words(panel) == ("", f"error of {axis} tilt [°]")
     np.testing.assert_array_equal(drawn(temperature), [[[0, 1, 2], warm]])
     assert words(temperature) == ("time [min]", "T [°C]")

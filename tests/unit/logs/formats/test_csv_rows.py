@@ -322,25 +322,6 @@ def test_a_first_line_of_numbers_is_a_row() -> None:
         assert dialect_of(line.splitlines()).names == tuple(str(1 + k) for k in range(columns))
 
 
-@pytest.mark.parametrize("block", [1, 3, 1 << 20])
-@pytest.mark.parametrize(
-    "content",
-    [
-        b"time x\n1.5 2\n3 4\n",
-        b"# time x\r\n1.5 2\r\n3 4\r\n",
-        b"#time\tx\n1.5\t2\n3\t4\n",
-        b"  time   x  \n  1.5  2  \n 3 4",
-        b"\xef\xbb\xbftime x\n1.5 2\n3 4\n",
-    ],
-)
-def test_names_may_be_parted_by_blanks_too(content: bytes, block: int) -> None:
-    log = CsvReader(LogSource(BytesIO(content), "log.txt", "log.txt"), block=block)
-    assert log.names == ("time", "x")
-    assert log.header.strip() in (b"time,x", b"time\tx")
-    values = np.concatenate([np.stack([rows.values[0], rows.values[1]], axis=1) for rows in log.rows([0, 1])])
-    assert values.tolist() == [[1.5, 2.0], [3.0, 4.0]]
-
-
 def test_the_dialect_is_seen_at_the_top() -> None:
     for content, (names, separator, decimal, header, blanks) in {
         "time;x\n0,5;1\n1,5;2\n": (("time", "x"), ";", ",", True, False),
@@ -366,21 +347,11 @@ def test_a_cell_between_tabs_may_be_empty() -> None:
     np.testing.assert_array_equal(values, [(0, 1.5, 24), (1, np.nan, 24), (2, 2.5, np.nan)])
 
 
-class TestDecimalComma:
-    CONTENT = "time;x;note\n0,5;1;a.b\n1,5;-2,5e-1;01.02.2026\n;NA;\n"
-
-    @pytest.mark.parametrize("size", [None, 100])
-    def test_numbers_and_text(self, size: int | None) -> None:
-        """With the engine, and without it."""
-        log = CsvReader(LogSource(BytesIO(self.CONTENT.encode()), "log.csv", "log.csv", size=size))
-        (block,) = log.rows([0, 1])
-        np.testing.assert_array_equal([block.values[0], block.values[1]], [[0.5, 1.5, np.nan], [1.0, -0.25, np.nan]])
-
-    def test_a_point_is_none(self) -> None:
-        """1.234 is more than a thousand where commas are decimal."""
-        for cell in ("1.5", "1.234,5", "1,", "1,5,2"):
-            with pytest.raises(InputError, match=f"log.txt:3: column 'x': '{cell}' is no number"):
-                table(f"time;x\n0,5;1,5\n1,5;{cell}\n".encode())
+def test_a_point_is_none_where_commas_are_decimal() -> None:
+    """1.234 is more than a thousand there."""
+    for cell in ("1.5", "1.234,5", "1,", "1,5,2"):
+        with pytest.raises(InputError, match=f"log.txt:3: column 'x': '{cell}' is no number"):
+            table(f"time;x\n0,5;1,5\n1,5;{cell}\n".encode())
 
 
 def test_a_unit_may_stand_in_the_header() -> None:
