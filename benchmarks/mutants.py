@@ -73,9 +73,13 @@ TABLES_OF_DRIVERS = ("tests/contract/test_data_sheets.py", "tests/contract/test_
 """What holds constants and tables, which are read once, at an import: coverage shows it of the first test alone."""
 LEFT_OUT = ("Variable", "RemoveDecorator")
 """Operators that make another program rather than a slip."""
-SENSIBLE = {"Add": "Sub", "Sub": "Add", "Mul": "Div", "Div": "Mul", "FloorDiv": "Div", "Mod": "FloorDiv"}
-SENSIBLE |= {"BitOr": "BitAnd", "BitAnd": "BitOr", "BitXor": "BitOr", "LShift": "RShift", "RShift": "LShift"}
-"""One other operator for each: with most others the program fails at once."""
+SLIPS = {"Add": "Sub", "Sub": "Add", "Mul": "Div", "Div": "Mul", "FloorDiv": "Div", "Mod": "FloorDiv"}
+SLIPS |= {"BitOr": "BitAnd", "BitAnd": "BitOr", "BitXor": "BitOr", "LShift": "RShift", "RShift": "LShift"}
+SLIPS |= {"Lt": "LtE GtE", "LtE": "Lt Gt", "Gt": "GtE LtE", "GtE": "Gt Lt", "Eq": "NotEq", "NotEq": "Eq"}
+SLIPS |= {"Is": "NotEq", "IsNot": "Eq", "USub": "UAdd", "Delete": "USub Not"}
+"""The other operators that are tried for each: the opposite, and the bound that counts or does not."""
+BY_CONSTRUCTION = r"\*,|strict=True"
+"""What is no calculation: how arguments are given, and a zip of what has one length."""
 
 
 FOLLOWED = {
@@ -108,11 +112,10 @@ class Place(NamedTuple):
 
 def worth_trying(operator: str) -> bool:
     """Whether an operator of cosmic-ray makes a slip that a person could make."""
-    _, mark, change = operator.partition("BinaryOperator_")
-    if mark:
-        old, new = change.split("_")
-        return SENSIBLE.get(old) == new
-    return not any(part in operator for part in LEFT_OUT) and not operator.endswith(("_Is", "_IsNot", "_Invert"))
+    replaced = re.search(r"(?:Binary|Comparison|Unary)Operator_([A-Za-z]+)_([A-Za-z]+)$", operator)
+    if replaced:
+        return replaced[2] in SLIPS.get(replaced[1], "").split()
+    return not any(part in operator for part in LEFT_OUT)
 
 
 def places(root: Path) -> Iterator[Place]:
@@ -125,7 +128,7 @@ def places(root: Path) -> Iterator[Place]:
         if "tiltcal/drivers" in str(path):
             continue
         text = path.read_text(encoding="utf-8")
-        said = annotated(text)
+        said = [*annotated(text), *by_construction(text)]
         found = defaultdict(list)
         nodes = list(ast_nodes(get_ast(text)))
         for name, operator in operators:
@@ -135,6 +138,16 @@ def places(root: Path) -> Iterator[Place]:
                     found[start].append((name, occurrence))
         for (line, column), changes in sorted(found.items()):
             yield Place(str(path.relative_to(root)), line, column, tuple(changes))
+
+
+def by_construction(text: str) -> list[tuple[tuple[int, int], tuple[int, int]]]:
+    """Return where nothing is calculated, as pairs of line and column."""
+    lines = enumerate(text.splitlines(), 1)
+    return [
+        ((number, one.start()), (number, one.end()))
+        for number, line in lines
+        for one in re.finditer(BY_CONSTRUCTION, line)
+    ]
 
 
 def annotated(text: str) -> list[tuple[tuple[int, int], tuple[int, int]]]:
