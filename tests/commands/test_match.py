@@ -57,17 +57,14 @@ def small(tmp_path: Path, name: str = "small.csv", **options: float) -> Path:
 class TestMatch:
     def test_the_laboratory_record(self, log: Path) -> None:
         for how, within, suppressed in (
-            (("--phase", "theta"), 2e-5, 5e4),
             (("--phase", "theta", "--online"), 2e-4, 1e4),
             (("--phase", "theta", "--online", "--loops"), 2e-4, 1e4),
             ((), 2e-5, 5e4),  # without an encoder
+            (("--phase", "theta"), 2e-5, 5e4),
         ):
             found = as_json(match(log, *PAIR, *how, "--json"))
             assert (found["p"], found["q"]) == pytest.approx(disk.truth(), abs=within), how
             assert disk.suppression(TAKEN, float(str(found["p"])), float(str(found["q"]))) > suppressed
-
-    def test_json_is_as_documented(self, log: Path) -> None:
-        found = as_json(match(log, *PAIR, "--phase", "theta", "--json"))
         assert list(found) == ["p", "q", "u_p", "u_q", "suppression", "components"]
         assert set(found["suppression"]) == {"p", "pq"}  # type: ignore[call-overload]
         components = found["components"]
@@ -75,9 +72,13 @@ class TestMatch:
         assert list(components) == ["before", "after_p", "after_pq"]
         for stage in components.values():
             assert set(stage) == {"a1", "a2", "a4", "sum"}
-            assert all(len(pair) == 2 for pair in stage.values())
             assert stage["sum"] == pytest.approx(np.add(stage["a1"], stage["a2"]), abs=1e-12)
         assert components["before"]["a1"] == pytest.approx(disk.judged(TAKEN, TAKEN.readings[:, 0]), abs=3e-5)
+        both = as_json(match(log, *BOTH, "--phase", "theta", "--json"))
+        assert [list(one["components"]["before"]) for one in both["pairs"]] == [  # type: ignore[attr-defined]
+            ["a1", "a2", "a4", "sum"],
+            ["a3", "a4", "a1", "sum"],
+        ]
 
     def test_a_figure(self, log: Path, tmp_path: Path) -> None:
         result = match(log, *PAIR, "--phase", "theta", "--online", "--figure", tmp_path / "six.svg")

@@ -46,42 +46,37 @@ def written(path: Path, samples: coloured.Samples, interval: float = 0.01, rows:
 
 
 class TestOfALog:
-    def test_numbers(self, tmp_path: Path) -> None:
-        found = as_json(written(tmp_path / "log.csv", counts()), "--sensor", "sca100t-d02")
-        x, y = found["channels"]["x"], found["channels"]["y"]
-        assert found["samples"] == 20_000
-        assert found["interval"] == pytest.approx(0.01, rel=1e-6)
-        assert found["seconds"] == pytest.approx(200.0)
-        assert found["unit"] == "count"
-        assert x["mean"] == pytest.approx(1024.0, abs=0.02)
-        assert x["averages"][0]["std"] == pytest.approx(0.6, rel=0.02)
-        assert x["averages"][0]["std_degrees"] == pytest.approx(degrees(0.6 / SCA100T_D02), rel=0.02)
-        assert [one["samples"] for one in x["averages"]] == [1, 10, 100, 1000]
-        # One-sided density of white noise: 2 sigma² dt.
-        assert x["noise_density"]["value"] == pytest.approx(0.6 * sqrt(2 * 0.01), rel=0.03)
-        assert y["velocity_random_walk"]["value"] == pytest.approx(0.9 * sqrt(0.01), rel=0.03)
-        assert x["drift"] is None
-        assert not x["bias_instability"]["reached"]
-        assert [point["tau"] for point in x["allan"]][:3] == pytest.approx([0.01, 0.02, 0.04])
-        assert all(point["low"] < point["deviation"] < point["high"] for point in x["allan"])
-
-    def test_the_number_of_samples_for_a_target(self, tmp_path: Path) -> None:
+    def test_numbers_and_the_number_of_samples_for_a_target(self, tmp_path: Path) -> None:
         """The noisier channel settles it: (sigma / target)², and degrees of one g are those of the nominal part."""
         log = written(tmp_path / "log.csv", counts())
-        advice = as_json(log, "--sensor", "sca100t-d02", "--target", "0.005")["recommendation"]
-        assert advice["channel"] == "y"
-        assert advice["met"] is True
+        found = as_json(log, "--sensor", "sca100t-d02", "--target", "0.005")
+        assert (found["samples"], found["unit"], found["seconds"]) == (20_000, "count", pytest.approx(200.0))
+        assert found["interval"] == pytest.approx(0.01, rel=1e-6)
+        for name, sigma in (("x", 0.6), ("y", 0.9)):
+            one = found["channels"][name]
+            assert one["mean"] == pytest.approx(1024.0, abs=0.03)
+            assert one["averages"][0]["std"] == pytest.approx(sigma, rel=0.02)
+            assert one["averages"][0]["std_degrees"] == pytest.approx(degrees(sigma / SCA100T_D02), rel=0.02)
+            assert [row["samples"] for row in one["averages"]] == [1, 10, 100, 1000]
+            # One-sided density of white noise: 2 sigma² dt.
+            assert one["noise_density"]["value"] == pytest.approx(sigma * sqrt(2 * 0.01), rel=0.03)
+            assert one["velocity_random_walk"]["value"] == pytest.approx(sigma * sqrt(0.01), rel=0.03)
+            assert (one["drift"], one["bias_instability"]["reached"]) == (None, False)
+            assert [point["tau"] for point in one["allan"]][:3] == pytest.approx([0.01, 0.02, 0.04])
+            assert all(point["low"] < point["deviation"] < point["high"] for point in one["allan"])
+        advice = found["recommendation"]
+        assert (advice["channel"], advice["met"]) == ("y", True)
         assert advice["samples"] == pytest.approx((degrees(0.9 / SCA100T_D02) / 0.005) ** 2, rel=0.06)
         assert advice["seconds"] == pytest.approx(advice["samples"] * 0.01)
-        result = noise(log, "--sensor", "sca100t-d02", "--target", "0.005")
-        assert f"measure --samples {advice['samples']}:" in result.stdout
+        printed = noise(log, "--sensor", "sca100t-d02", "--target", "0.005").stdout
+        assert f"measure --samples {advice['samples']}:" in printed
         # By range: white noise of sigma / √n, whose averages of a hundred lie within about five standard deviations.
-        averages = as_json(log, "--sensor", "sca100t-d02")["channels"]["y"]["averages"]
-        by_range = as_json(log, "--sensor", "sca100t-d02", "--target", "0.05")["recommendation"]["channels"]["y"]
-        ranges = [(one["samples"], one["range_degrees"]) for one in averages]
+        coarse = ("--sensor", "sca100t-d02", "--target", "0.05")
+        by_range = as_json(log, *coarse)["recommendation"]["channels"]["y"]["samples_by_range"]
+        ranges = [(one["samples"], one["range_degrees"]) for one in found["channels"]["y"]["averages"]]
         above = next(n for n, width in reversed(ranges) if width > 0.05)
-        assert above < by_range["samples_by_range"] <= 10 * above
-        assert f"y {by_range['samples_by_range']}" in noise(log, "--sensor", "sca100t-d02", "--target", "0.05").stdout
+        assert above < by_range <= 10 * above
+        assert f"y {by_range}" in noise(log, *coarse).stdout
 
     def test_a_figure(self, tmp_path: Path) -> None:
         log = written(tmp_path / "log.csv", counts(4000))
@@ -106,42 +101,30 @@ class TestOfALog:
         assert as_json(recording("xsens_acc.txt"), *columns)["moved"]
 
 
-class TestWhatIsWrongWithALog:
-    def test_a_gap(self, tmp_path: Path) -> None:
-        path = written(tmp_path / "l.csv", counts(4000))
-        lines = path.read_text().splitlines()
-        path.write_text("\n".join(lines[:1001] + lines[1501:]) + "\n")
-        found = as_json(path)
-        assert found["gaps"] == {"count": 1, "rows": 500}
-        assert found["samples"] == 3500
-        assert found["seconds"] == pytest.approx(40.0)
-        assert "1 gap in its times, 500 rows long" in noise(path).stderr
-
-    def test_bad_rows(self, tmp_path: Path) -> None:
-        path = written(tmp_path / "l.csv", counts(1000))
-        lines = path.read_text().splitlines()
-        lines[10] = "0.09,oops,1024"
-        path.write_text("\n".join(lines) + "\n")
-        assert ":11:" in refused(noise(path), InputError)
-        found = as_json(path, "--skip-bad-rows")
-        assert found["bad_rows"] == 1
-        assert found["missing"] == {"x": 1, "y": 1}
-
-    def test_motion_is_told(self, tmp_path: Path) -> None:
-        samples = counts(4000)
-        samples[2500:, 0] += 30.0
-        path = written(tmp_path / "l.csv", samples)
-        ((begin, end),) = as_json(path)["moved"]
-        assert begin <= 25.0 <= end
-        assert f"moved or knocked from {begin:.4g} to {end:.4g} s; the numbers are" in noise(path).stderr
-
-    def test_stuck_readings_are_named(self, tmp_path: Path) -> None:
-        samples = np.round(counts(4000) * 2) / 2
-        samples[1000:1200] = samples[1000]
-        path = written(tmp_path / "l.csv", samples)
-        begin, end = as_json(path)["hung"]
-        assert (begin, end) == pytest.approx((10.0, 12.0), abs=0.05)
-        assert "the readings were stuck" in noise(path).stderr
+def test_what_is_wrong_with_a_log_is_counted_and_told(tmp_path: Path) -> None:
+    """A gap, a row that cannot be parsed, a knock, and readings that are stuck."""
+    path, lines = tmp_path / "l.csv", written(tmp_path / "l.csv", counts(4000)).read_text().splitlines()
+    path.write_text("\n".join(lines[:1001] + lines[1501:]) + "\n")
+    found = as_json(path)
+    assert (found["gaps"], found["samples"], found["seconds"]) == (
+        {"count": 1, "rows": 500},
+        3500,
+        pytest.approx(40.0),
+    )
+    assert "1 gap in its times, 500 rows long" in noise(path).stderr
+    path.write_text("\n".join([*lines[:10], "0.09,oops,1024", *lines[11:]]) + "\n")
+    assert ":11:" in refused(noise(path), InputError)
+    found = as_json(path, "--skip-bad-rows")
+    assert (found["bad_rows"], found["missing"]) == (1, {"x": 1, "y": 1})
+    samples = counts(4000)
+    samples[2500:, 0] += 30.0
+    ((begin, end),) = as_json(written(path, samples))["moved"]
+    assert begin <= 25.0 <= end
+    assert f"note: it was not still: moved or knocked from {begin:.4g} to {end:.4g} s; the" in noise(path).stderr
+    samples = np.round(counts(4000) * 2) / 2
+    samples[1000:1200] = samples[1000]
+    assert as_json(written(path, samples))["hung"] == pytest.approx([10.0, 12.0], abs=0.05)
+    assert "the readings were stuck" in noise(path).stderr
 
 
 class TestLive:
@@ -151,7 +134,13 @@ class TestLive:
     def test_recorded_and_done_again(self, tmp_path: Path, name: str) -> None:
         """What is kept says the same as what was recorded; the times are written to the millisecond."""
         log = tmp_path / name
-        live = as_json(*self.ONE, "--samples", "3000", "-o", log)
+        result = noise(*self.ONE, "--samples", "3000", "-o", log, "--json")
+        assert result.stderr == f"3000 samples in {log}\n"
+        live = json.loads(result.stdout)
+        assert (
+            noise(*self.ONE, "--samples", "3000").stdout.replace("the record", str(log))
+            == noise(log, "--sensor", "sca100t-d02").stdout
+        )
         again = as_json(log, "--sensor", "sca100t-d02")
         assert live == again
         assert live["samples"] == 3000
