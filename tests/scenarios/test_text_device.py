@@ -19,6 +19,7 @@ from tiltcal import TiltcalError, measure
 from tiltcal.bench.devices import open_sensor
 from tiltcal.drivers.bus.clock import VirtualClock
 from tiltcal.drivers.model import Sensor
+from tiltcal.drivers.virtual import Fixture
 from tiltcal.errors import BusError, HardwareError
 from tiltcal.files.bench import BenchFile, BenchSensor
 from tiltcal.files.device import model_named
@@ -182,6 +183,25 @@ def test_a_device_is_probed_measured_and_replayed_by_its_file_alone(tmp_path: Pa
     assert recorded.returncode == 0, recorded.stderr
 
 
+def test_a_check_sum_of_one_byte_and_what_is_no_number(tmp_path: Path) -> None:
+    """The characters of X=+01.250 add up to 0x1E6, those of Q=-02.500 to 0x1E0."""
+    summed = FILE.replace("X=(?P<x>[-+][0-9]{2}\\.[0-9]{3}) Y=(?P<y>", "(?P<checked>(?:X|Q)=(?P<x>")
+    summed = summed.replace("[-+][0-9]{2}\\.[0-9]{3})'", "[-+0-9.]+))(?P<checksum>.)'\nchecksum: sum")
+    (tmp_path / "box.yaml").write_text(summed)
+    model = model_named(str(tmp_path / "box.yaml"))
+    line = ArrivingPieces(
+        b"X=+01.250\xe6\r\n", b"Q=-02.500\xe1\r\n", b"Q=-02.500\xe0\r\n", *[b"X=+.-\xd2\r\n" * 50] * 3
+    )
+    sensor = model.driver(line, VirtualClock())
+    assert [sensor.read().values for _ in range(2)] == [(1.25,), (-2.5,)]
+    with pytest.raises(BusError, match=r"x is '\+\.-', no number with a decimal point"):
+        sensor.read()
+    assert sensor.link_statistics() == {"answers": 2, "damaged": 151}
+    clock = VirtualClock()
+    part = model.twin(model.default_truth(1), Fixture(clock), clock)
+    assert abs(model.driver(part, clock).read().values[0]) < 45.0
+
+
 @pytest.mark.parametrize("kept", [0, 1])
 def test_x_and_y_on_lines_of_their_own_are_one_reading_and_a_lost_line_none(kept: int) -> None:
     lines = iter(b"X=+%06.3f\r\nY=-%06.3f\r\n" % (n, n) for n in range(1, 99))
@@ -232,6 +252,7 @@ def test_two_axes_in_one_column_are_no_position(tmp_path: Path, axes: Iterator[i
         ("timeout: 0.3", "checksum: xor", "nothing reads checked"),
         ("timeout: 0.3", "low: 2\nhigh: 1", "low=2 is not below high=1"),
         ("X=(", r"(.)\1X=(", "the virtual part can make no answer"),
+        ("[0-9]{2}", "[a-f]{2}", "the virtual part can make no answer"),
         ("unit: deg", "units: deg", r"did you mean 'unit'\?"),
     ],
 )
