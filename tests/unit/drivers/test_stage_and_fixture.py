@@ -36,6 +36,28 @@ def test_eq_4_by_hand() -> None:
     assert sample.readings == pytest.approx([0.5 + one for one in felt])
 
 
+def test_the_stage_of_the_source_and_parts_that_are_drawn_near_it() -> None:
+    named = Disk()
+    parts = [(part.scale, part.misalignment, part.offset, part.phase_error) for part in named.accelerometers]
+    assert parts == [(3.383, -0.0221, 0, 0), (3.415, -0.0217, 0, 0), (3.402, 0.012, 0, 0), (3.39, 0.0124, 0, 0)]
+    assert (named.inclination, named.spin, named.rate, named.gradient) == (1.5e-3, 0.125, 50.0, (0.0, 0.0))
+    noise = taken(named, 2000).readings - taken(replace(named, noise=0.0), 2000).readings
+    # 1.5e-7 g/√Hz up to 25 Hz, in the sensitivity of each.
+    assert np.std(noise, axis=0) == pytest.approx(np.array([part[0] for part in parts]) * 7.5e-7, rel=0.05)
+    drawn = [find_model("gradiometer").default_truth(seed).disk for seed in range(60)]
+    every = [part for disk in drawn for part in disk.accelerometers]
+    for name, centre, limit in (
+        ("scale", 3.4, 0.034),
+        ("misalignment", 0.0, 0.02),
+        ("phase_error", 0.0, radians(0.1)),
+        ("offset", 0.0, 0.002),
+    ):
+        away = [abs(getattr(part, name) - centre) for part in every]
+        assert 0.95 * limit <= max(away) <= limit, name
+    encoder = taken(drawn[0], 2000).theta - taken(replace(drawn[0], encoder_noise=0.0), 2000).theta
+    assert np.std((encoder + 180.0) % 360.0 - 180.0) == pytest.approx(0.002, rel=0.05)
+
+
 def test_a_gradient_turns_up_twice_a_turn_with_the_signs_of_eq_1() -> None:
     made = taken(replace(QUIET, inclination=0.0, gradient=(2e-6, 5e-7), accelerometers=(Accelerometer(1.0),) * 4), 4000)
     for index, sign in enumerate((1, 1, -1, -1)):
