@@ -4,7 +4,6 @@ import csv
 import json
 import os
 import re
-import runpy
 import shutil
 import subprocess
 import sys
@@ -12,7 +11,6 @@ from decimal import Decimal
 from pathlib import Path
 from runpy import run_path
 
-import msgspec
 import pytest
 from support import FIXTURES, ROOT
 from support.command import tiltcal
@@ -21,8 +19,6 @@ from tiltcal.files.calibration import read_calibration
 from tiltcal.files.document import read_document
 from tiltcal.files.procedure import shipped_procedures
 from tiltcal.files.twin import read_twin
-from tiltcal.journal.header import Setup
-from tiltcal.journal.lines import Journal
 from tiltcal.library.calibration import read
 
 # A number that lies between two roundings is rounded to either, by the linear algebra of the processor.
@@ -55,29 +51,6 @@ def test_replay_gives_the_golden_file(journal: Path, tmp_path: Path) -> None:
     assert "virtual bench" in read_document(golden(journal)).data["provenance"]["made_by"]
     for ours, theirs in zip(NUMBER.findall(again), NUMBER.findall(expected), strict=True):
         assert abs(Decimal(ours) - Decimal(theirs)) <= max(last_digit(ours), last_digit(theirs)), (ours, theirs)
-
-
-def unchecked(journal: Path) -> list[str]:
-    """The events of a journal without their checks, which hold the header too."""
-    return [line.rpartition(",")[0] for line in journal.read_text(encoding="utf-8").splitlines()[1:-1]]
-
-
-def test_a_session_of_today_is_the_fixture_to_the_byte(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    shutil.copytree(FIXTURES / "twins", tmp_path / "twins")
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("sys.argv", ["make.py", "plane"])
-    monkeypatch.setattr("os.chdir", lambda folder: None)
-    runpy.run_path(str(FIXTURES / "make.py"), run_name="__main__")
-    assert sorted(path.name for path in tmp_path.glob("*.*")) == ["plane.journal.jsonl", "plane.yaml"]
-    made, kept = (Journal(folder / "plane.journal.jsonl") for folder in (tmp_path, FIXTURES))
-    assert len([*made]) == len([*kept])
-    assert unchecked(made.path) == unchecked(kept.path)
-    # The header of the fixture was written when it left defaults out.
-    now, then = (Setup.of(journal) for journal in (made, kept))
-    assert now.steps == then.steps
-    assert msgspec.structs.replace(now, procedure=then.procedure) == then
-    text = (tmp_path / "plane.yaml").read_text().replace(made.sha256, kept.sha256)
-    assert text.replace('"', "") == (FIXTURES / "plane.yaml").read_text().replace('"', "")  # a digit first is quoted
 
 
 def test_the_samples_of_a_session_are_a_log_that_gives_its_means(tmp_path: Path) -> None:
@@ -118,19 +91,6 @@ def test_a_journal_that_lacks_its_end_line_alone_is_replayed(tmp_path: Path) -> 
     (tmp_path / "plane.journal.jsonl").write_bytes(b"".join(lines[:last]))
     half = tiltcal("replay", "plane.journal.jsonl", "--golden", golden, cwd=tmp_path)
     assert (half.returncode, "continue it with: tiltcal measure --resume" in half.stderr) == (2, True)
-
-
-def test_a_golden_file_that_differs_is_judged_failing(tmp_path: Path) -> None:
-    changed = tmp_path / "plane.yaml"
-    kept = golden(PLANE).read_text(encoding="utf-8")
-    changed.write_text(kept.replace("SIM-42", "SIM-43"), encoding="utf-8")
-    lines = enumerate(kept.splitlines(), start=1)
-    line, text = next((number, text) for number, text in lines if "SIM-42" in text)
-    judged = tiltcal("replay", PLANE, "--golden", changed)
-    assert judged.returncode == 1
-    both = f"-{text.replace('SIM-42', 'SIM-43')}\n+{text}\n"
-    assert f"does not give {changed}: lines differ\n@@ -{line} +{line} @@\n{both}" in judged.stderr
-    assert tiltcal("replay", PLANE, "--golden", golden(PLANE)).returncode == 0
 
 
 def test_the_workflow_of_the_page_is_green_and_then_red(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -177,25 +137,20 @@ def test_the_workflow_of_the_page_is_green_and_then_red(tmp_path: Path, monkeypa
     assert "2 failed" in counted
 
 
-@pytest.mark.parametrize("procedure", ["cross-axis", "complete"])
+@pytest.mark.parametrize("procedure", ["cross-axis", "complete", "sensitivity-drift"])
 def test_the_golden_file_finds_the_truth(procedure: str) -> None:
-    """Within five of its stated uncertainties, or what nonlinearity and jig can do to a coefficient (1.5 count)."""
-    found = read_calibration(FIXTURES / f"{procedure}.yaml").coefficients
-    _, truth = read_twin(FIXTURES / "twins" / "sca100t-d02.yaml")
+    """Within what nonlinearity and jig can do to a coefficient (1.5 count), of the gain the stated interval of 95 %."""
+    file = read_calibration(FIXTURES / f"{procedure}.yaml")
+    found, (_, truth) = file.coefficients, read_twin(FIXTURES / "twins" / "sca100t-d02.yaml")
     for row, channel in enumerate(found.channels):
+        if procedure == "sensitivity-drift":
+            name = f"temperature.sensitivity.{channel}.1"
+            expanded = file.uncertainty[name] * file.uncertainty.coverage_factor[name]
+            assert found.thermal.gain[row, 0] == pytest.approx(truth.gain[channel][0], abs=expanded)
+            continue
         assert found.offset[row] == pytest.approx(truth.offset[channel], abs=1.5)
-        for column, axis in enumerate(found.axes):
-            assert found.sensitivity[row, column] == pytest.approx(truth.sensitivity[channel][axis], abs=1.5)
-
-
-def test_the_golden_drift_of_the_sensitivity_is_the_twins() -> None:
-    """The twin's gain, 1.4e-5 and -0.9e-5 per °C, within the stated interval of 95 %."""
-    found = read_calibration(FIXTURES / "sensitivity-drift.yaml")
-    _, truth = read_twin(FIXTURES / "twins" / "sca100t-d02.yaml")
-    for row, channel in enumerate(found.coefficients.channels):
-        name = f"temperature.sensitivity.{channel}.1"
-        expanded = found.uncertainty[name] * found.uncertainty.coverage_factor[name]
-        assert found.coefficients.thermal.gain[row, 0] == pytest.approx(truth.gain[channel][0], abs=expanded)
+        own = [truth.sensitivity[channel][axis] for axis in found.axes]
+        assert found.sensitivity[row] == pytest.approx(own, abs=1.5)
 
 
 def test_a_fixture_is_made_again_to_the_byte(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -260,7 +260,7 @@ class Expectations:
             return None
         if self._free:
             before = {one.position.name: one.mean(serial) for one in self._accepted}
-            return readings.repeated(before, result.mean(serial)) if len(sensor.wired.channels) == 3 else None
+            return readings.repeated(before, result.mean(serial))
         positions = [*self._setup.steps.positions, *(one.position for one in (*self._accepted, result))]
         seen = {position.name: sensor.orientation.seen(position.gravity) for position in positions}
         temperature = result.measurements[serial].temperature
