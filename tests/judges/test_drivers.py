@@ -13,6 +13,7 @@ from kernel.accelerometers import JUDGED as LINUX
 from support.virtual_device import Line
 
 from tiltcal.drivers import scl3300
+from tiltcal.errors import DeviceFault
 
 from .boards import Board, G, foreign
 from .test_johnny_five import CASES
@@ -239,6 +240,7 @@ class SetUp(NamedTuple):
     name: where its names of registers are, and how they begin.
     registers: those that our driver writes, in order: - has no name there, = has the content that it leaves itself.
     rates: those of our driver, with the codes or their names; and what it reads back.
+    change: what our driver has to notice.
     """
 
     name: str
@@ -246,6 +248,11 @@ class SetUp(NamedTuple):
     rates: dict[float, Any]
     rate: Callable[[Any], float] = lambda sensor: sensor.data_rate
     also: Callable[[Any, Any], bool] = lambda module, sensor: True
+    change: Callable[[Any], None] = lambda sensor: None
+
+
+def changed(name: str, value: int) -> Callable[[Any], None]:
+    return lambda sensor: setattr(sensor, name, value)
 
 
 def rates(name: str, words: str) -> dict[float, Any]:
@@ -264,6 +271,7 @@ LSM_SET_UP = SetUp(
     LSM_RATES,
     accelerometer_data_rate,
     lambda module, sensor: sensor._bdu,
+    changed("accelerometer_data_rate", 1),
 )
 SET_UP = {
     "adafruit_adxl34x": SetUp(
@@ -276,6 +284,7 @@ SET_UP = {
         "adafruit_lis3dh _REG_",
         "- CTRL5 CTRL4= CTRL1",
         rates("adafruit_lis3dh:DATARATE_{}_HZ", "1 10 25 50 100 200 400 1344"),
+        change=changed("data_rate", 1),
     ),
     "adafruit_mpu6050": SetUp(
         "adafruit_mpu6050 _MPU6050_",
@@ -283,6 +292,7 @@ SET_UP = {
         {1000.0 / (1 + divisor): divisor for divisor in (0, 1, 3, 4, 7, 9, 19, 39, 49, 99, 199, 249)},
         lambda sensor: sensor.sample_rate_divisor,
         lambda module, sensor: sensor.filter_bandwidth == module.Bandwidth.BAND_44_HZ,
+        changed("sleep", 1),
     ),
     "adafruit_icm20x": SetUp(
         "adafruit_icm20x _ICM20X_",
@@ -290,6 +300,7 @@ SET_UP = {
         {rate: rate for rate in (1125.0, 562.5, 225.0, 112.5, 45.0, 22.5, 9.0, 4.5)},
         accelerometer_data_rate,
         lambda module, sensor: sensor.accel_dlpf_cutoff == module.AccelDLPFFreq.FREQ_50_4HZ_3DB,
+        changed("_sleep", 1),
     ),
     "FaBo9Axis_MPU9250.MPU9250": SetUp(
         "FaBo9Axis_MPU9250.MPU9250",
@@ -302,25 +313,31 @@ SET_UP = {
         "COMMAND COMMAND ACCEL_CONFIG ACC_RANGE=",
         rates("bmi160:BANDWIDTH_{}", "25 50 100 200 400 800 1600") | {12.5: "bmi160:BANDWIDTH_25_2"},
         lambda sensor: sensor._acc_odr,
+        change=changed("_acc_odr", 6),
     ),
     **{f"adafruit_lsm6ds.{name}": LSM_SET_UP for name in ("lsm6ds33", "lsm6ds3trc", "lsm6dsox")},
-    "adafruit_lsm6ds.ism330dhcx": LSM_SET_UP._replace(registers="CTRL3_C CTRL9_XL CTRL3_C= CTRL1_XL"),
+    "adafruit_lsm6ds.ism330dhcx": LSM_SET_UP._replace(
+        registers="CTRL3_C CTRL9_XL CTRL3_C= CTRL1_XL", change=lambda sensor: None
+    ),
     "adafruit_mma8451": SetUp(
         "adafruit_mma8451 _MMA8451_REG_",
         "CTRL_REG1 - - - - XYZ_DATA_CFG= CTRL_REG2= CTRL_REG1",
         rates("adafruit_mma8451:DATARATE_{}HZ", "800 400 200 100 50 12_5 6_25")
         | {1.5625: "adafruit_mma8451:DATARATE_1_56HZ"},
+        change=changed("data_rate", 0),
     ),
     "adafruit_msa3xx": SetUp(
         "adafruit_msa3xx _REG_",
         "- POWERMODE ODR RESRANGE=",
         rates("adafruit_msa3xx:DataRate.RATE_{}_HZ", "3_9 7_81 15_63 31_25 62_5 125 250 500 1000"),
+        change=changed("power_mode", 2),
     ),
     "adxl355": SetUp(
         "adxl355:Register",
         "RESET FILTER RANGE= POWER_CTL=",
         rates("adxl355:ODR.HZ_{}", "4000 2000 1000 500 250 125 62_5 31_25 15_625 7_813 3_906"),
         lambda sensor: sensor._read_reg(0x28),
+        change=lambda sensor: sensor.set_power_mode(1),
     ),
 }
 
@@ -344,7 +361,8 @@ def test_it_finds_what_our_driver_has_set_up(judge: Judge, monkeypatch: pytest.M
             left, (holder, _, prefix) = dict(board.part._held), set_up.name.partition(" ")
             known = [*vars(resolve_name(holder)).items()]
             line = Line(board.part, board.clock)
-            board.model.driver(line, board.clock).read()
+            ours = board.model.driver(line, board.clock)
+            ours.read()
             written = [out[0] for out, _, _ in line.sent if len(out) == 2]
             for register, name in zip(written, set_up.registers.split(), strict=True):
                 found = [one.removeprefix(prefix) for one, at in known if at == register and one.startswith(prefix)]
@@ -352,6 +370,11 @@ def test_it_finds_what_our_driver_has_set_up(judge: Judge, monkeypatch: pytest.M
                 assert not name.endswith("=") or board.part._held.get(register) == left.get(register), name
             assert set_up.rate(sensor) == (resolve_name(code) if isinstance(code, str) else code), rate
             assert set_up.also(theirs, sensor)
+            kept = dict(board.part._held)
+            set_up.change(sensor)
+            if board.part._held != kept:
+                with pytest.raises(DeviceFault, match="was reset or its supply failed"):
+                    ours.read()
         assert board.part._part.sampling.rate == pytest.approx(rate, rel=1e-4)
 
 
