@@ -74,6 +74,8 @@ def test_the_bytes_of_a_data_sheet_are_its_readings(sheet: dict[str, Any], row: 
             near = min(0.02, 0.6 * 10.0**-digits)
             celsius = None if expected["celsius"] == "null" else pytest.approx(float(expected["celsius"]), abs=near)
             assert reading.temperature == celsius
+        if "statistics" in expected:
+            assert {name: str(count) for name, count in sensor.link_statistics().items()} == expected["statistics"]
         if "step" in expected:
             assert reading.step == pytest.approx(float(expected["step"]))
     if isinstance(link, Script):

@@ -3,11 +3,9 @@
 from collections.abc import Callable
 from itertools import count, cycle
 
-import pytest
 from support.command import tiltcal
 from support.pty_device import printing
 
-import tiltcal as library
 from tiltcal.column_guess import guess
 from tiltcal.drivers import find_model
 from tiltcal.drivers.bus.address import parse_address
@@ -86,20 +84,3 @@ def test_a_port_alone_is_listened_to_and_the_advice_works() -> None:
     with printing(lambda: b"%d,0.12,-0.34,9.71\r\n" % (1000 + 20 * next(counter)), 50.0, waits=False) as port:
         said = tiltcal("probe", "--sensor", "serial-columns", "--address", port).stdout
     assert "as columns=-,x,y,z, unit=m/s2 (at rest they are as long as gravity)" in said
-
-
-def test_witmotion_frames_are_read_from_a_line() -> None:
-    """WT901, Datasheet v20-0702, 5.1.2: 16 g to 32768, T/100; a damaged frame and other kinds are no reading."""
-    rate = bytes.fromhex("55 52 00 00 00 00 00 00 00 00 A7")
-    sound = bytes.fromhex("55 51 00 04 00 FC 00 08 C4 09 7B")
-    damaged = bytes.fromhex("55 51 00 04 00 FC 00 08 C4 09 7C")
-    with (
-        printing(lines_of(rate + damaged + sound), 50.0, waits=False) as port,
-        library.open_sensor("witmotion", f"serial://{port}?thermometer=hundredths") as sensor,
-    ):
-        readings = [sensor.read() for _ in range(5)]
-        statistics = sensor.link_statistics()
-    assert all(reading.values == (1024.0, -1024.0, 2048.0) for reading in readings)
-    assert all(reading.temperature == pytest.approx(25.0) for reading in readings)
-    assert statistics["frames"] == 5
-    assert statistics["damaged"] >= 4
