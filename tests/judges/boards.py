@@ -67,7 +67,11 @@ class Board:
         utils = SimpleNamespace(Constant=lambda value: SimpleNamespace(value=value))
         patch.setitem(sys.modules, "utils", SimpleNamespace(constant=utils))
         patch.setitem(sys.modules, "utils.constant", utils)
-        patch.setattr(time, "sleep", self.clock.sleep)
+        patch.setattr(time, "sleep", self.sleep)
+
+    def sleep(self, seconds: float) -> None:
+        self.clock.sleep(seconds)
+        assert self.clock.now_ns() < 30e9, "the driver waits for the part without end"
 
     # --- CircuitPython ---
 
