@@ -1,4 +1,4 @@
-"""Sensors that a procedure does not suit, and channels that are not what they are called, simulated by hand."""
+"""Channels that are not what they are called, simulated by hand."""
 
 from collections.abc import Callable
 
@@ -8,18 +8,15 @@ from support.measured import mean_of, measured
 
 import tiltcal
 from tiltcal.calibration.calibrate import calibrate
-from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, require_suitable
+from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor
 from tiltcal.core.model import Array
-from tiltcal.drivers import find_model
-from tiltcal.errors import EstimateError, UsageError
+from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
 from tiltcal.files.procedure import find_procedure
 
 SENSOR = SensorIdentity("recorded", "S", "V", ("x", "y"))
 PLANE = find_procedure("plane")
 NOISE = 1e-4
-INCLINOMETER = find_model("sca100t-d01")
-"""1024 count and 1638 count/g, and a word below 102 is none."""
 
 
 def calibrated(wiring: Callable[[Array], Array], unit: str = "V") -> CalibrationRecord:
@@ -33,7 +30,8 @@ def calibrated(wiring: Callable[[Array], Array], unit: str = "V") -> Calibration
     return calibrate([MeasuredSensor(SENSOR.replaced(unit=unit), positions)], PLANE, BenchUncertainty(0.05))[0]
 
 
-def test_exchanged_and_turned_channels_are_remarked() -> None:
+def test_exchanged_and_turned_channels_are_remarked_and_two_copies_refused() -> None:
+    """Copies have their own noise, so that the matrix can be inverted: tilt came out 64 degrees wrong with flag 1."""
     wirings: dict[str, Callable[[Array], Array]] = {
         "": lambda true: true,
         "x and y are swapped": lambda true: true[::-1],
@@ -42,10 +40,6 @@ def test_exchanged_and_turned_channels_are_remarked() -> None:
     for said, wiring in wirings.items():
         notes = [note for note in calibrated(wiring).fit.notes if note.startswith(("x and y", "channel", "the sign"))]
         assert [note.startswith(said) for note in notes] == ([True] if said else [])
-
-
-def test_two_copies_of_one_channel_are_refused() -> None:
-    """Each with its own noise, so that the matrix can be inverted: tilt came out 64 degrees wrong with flag 1."""
     for copy in (lambda true: true[[0, 0]], lambda true: np.array([true[0], 5.0 - true[0]])):
         with pytest.raises(EstimateError, match=r"x and y answer to gravity alike.*two copies of one channel"):
             calibrated(copy)
@@ -74,29 +68,3 @@ def test_the_one_face_without_which_the_others_agree_is_named_alone() -> None:
     table |= {axis: (0.05 + 9.8 * faces[:, k]).tolist() for k, axis in enumerate("xyz")}
     with pytest.raises(EstimateError, match=r"^y-down is wrong: the residuals are larger than any error"):
         tiltcal.fit("six-face", table, serial="S-1", unit="m/s2")
-
-
-def test_a_position_at_the_rail_is_refused() -> None:
-    """The SCA100T-D02 counts from 0 to 2047; a reading there may stand for any tilt beyond."""
-    for reading in (2047.0, 14340.0):
-        table = {
-            "position": ["x-tilt1", "x-tilt2", "y-tilt1", "y-tilt2"],
-            "x": [reading, 614.0, 1024.0, 1024.0],
-            "y": [1024.0, 1024.0, 1434.0, 614.0],
-        }
-        with pytest.raises(
-            EstimateError, match=f"x reads {reading:g} count in x-tilt1, at its rail or beyond .101 to 2047.:"
-        ):
-            tiltcal.fit("plane", table, serial="S-1", sensor="sca100t-d02", jig=0.1)
-
-
-def test_an_angle_beyond_the_lower_rail_is_refused() -> None:
-    """1024 - 1638 sin 34° is 108, and 1024 - 1638 sin 35° is 84.5."""
-    require_suitable(find_procedure("plane", 34.0), INCLINOMETER)
-    with pytest.raises(UsageError, match=r"would read about 84\.482 count, .* a smaller tilt brings it in range"):
-        require_suitable(find_procedure("plane", 35.0), INCLINOMETER)
-
-
-def test_gravity_has_to_be_read() -> None:
-    with pytest.raises(UsageError, match="plane takes tilt sensors"):
-        require_suitable(find_procedure("plane", 20.0), find_model("gradiometer"))
