@@ -5,20 +5,18 @@ out.
 """
 
 from collections.abc import Callable
-from dataclasses import replace
 from math import asin, cos, degrees, pi, radians, sqrt
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 from scipy.special import ndtri
-from support.uncertain_readings import uncertain_readings
+from support.uncertain_readings import moved, uncertain_readings
 
 from tiltcal.core.angle_uncertainty import CompensationWithUncertainty
-from tiltcal.core.attitude import mounting_angles, mounting_matrix
+from tiltcal.core.attitude import mounting_matrix
 from tiltcal.core.compensation import Compensated, Compensation
-from tiltcal.core.model import AXES, Coefficients, Limits, Mounting, Thermal, values, vector_of, with_vector
+from tiltcal.core.model import AXES, Coefficients, Limits, Mounting, Thermal, values
 from tiltcal.core.uncertain import ALIGNMENT, READING, Uncertain
 from tiltcal.errors import EstimateError
 
@@ -83,17 +81,6 @@ def _spread(name: str) -> float:
     if kind == "temperature":
         return (0.01 if rest[0] == "offset" else 1e-5) / 20.0 ** (int(rest[-1]) - 1)
     return SPREAD[kind]
-
-
-def moved(known: Coefficients, names: tuple[str, ...], vector: Array) -> Coefficients:
-    """The coefficients with errors added, the mounting's as a turn behind it."""
-    own = [k for k, name in enumerate(names) if not name.startswith("mounting")]
-    some = tuple(names[k] for k in own)
-    found = with_vector(known, some, vector_of(known, some) + vector[own])
-    if known.mounting is None or len(own) == len(names):
-        return found
-    turned = Rotation.from_rotvec(vector[-3:]).as_matrix() @ mounting_matrix(known.mounting)
-    return replace(found, mounting=mounting_angles(turned)[0])
 
 
 def angles(known: Coefficients, readings: Array, temperature: Array) -> Array:
