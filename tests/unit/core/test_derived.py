@@ -30,13 +30,14 @@ def test_any_mounting_is_told_from_the_sensor(angles) -> None:
     np.testing.assert_allclose(found, turned, atol=1e-12)
 
 
-def test_lengths_and_angles_by_hand() -> None:
+def test_the_nine_that_no_mounting_changes_by_hand() -> None:
     own = intrinsic(STRAIGHT, uncertain(NAMES, 1e-12 * np.eye(12)))
-    nine = own.by_name(own.value)
-    assert nine["sensitivity.x"] == pytest.approx(sqrt(1.02**2 + 0.03**2 + 0.02**2))
-    assert nine["sensitivity.z"] == pytest.approx(1.01)
-    assert nine["angle_degrees.yz"] == pytest.approx(degrees(np.arccos(0.05 / sqrt(0.97**2 + 0.05**2))))
-    assert nine["offset.y"] == -0.2
+    x, y, z = TRIANGULAR
+    expected = {"offset.x": 0.1, "offset.y": -0.2, "offset.z": 0.3}
+    expected |= {f"sensitivity.{name}": sqrt(row @ row) for name, row in zip(AXES, TRIANGULAR, strict=True)}
+    for pair, one, other in (("xy", x, y), ("xz", x, z), ("yz", y, z)):
+        expected[f"angle_degrees.{pair}"] = degrees(np.arccos(one @ other / sqrt(one @ one * (other @ other))))
+    assert own.by_name(own.value) == pytest.approx(expected)
 
 
 def test_a_common_turn_is_uncertain_in_the_mounting_alone() -> None:

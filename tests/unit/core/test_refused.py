@@ -10,10 +10,10 @@ from tiltcal.core import closed_forms as forms
 from tiltcal.core.attitude import gravity_from_tilt, mounting_rotation, normalised
 from tiltcal.core.compensation import Compensated, Compensation
 from tiltcal.core.derived import intrinsic, separated
-from tiltcal.core.estimation.estimate import estimate
+from tiltcal.core.estimation.estimate import estimate, estimate_jointly
 from tiltcal.core.estimation.free import fit_free, planned_uncertain
-from tiltcal.core.estimation.positions import Design, Observation
-from tiltcal.core.model import AXES, Coefficients, Mounting, vector_of
+from tiltcal.core.estimation.positions import Design, Observation, SensorObservations
+from tiltcal.core.model import AXES, Array, Coefficients, Mounting, vector_of
 from tiltcal.core.noise import characterise, kinds_of_noise
 from tiltcal.core.pair.demodulate import demodulate
 from tiltcal.core.pair.stage import estimated_angle, stage_record
@@ -34,6 +34,10 @@ def of(*rows: tuple[float, ...], mounting: Mounting | None = None) -> Coefficien
 
 def seen(name: str, temperature: float | None = None) -> Observation:
     return Observation(name, UP[0], np.zeros(1), np.ones(1), temperature)
+
+
+def of_one(name: str, up: Array) -> SensorObservations:
+    return SensorObservations(Design(("x",), ("x",)), [Observation(name, up, np.zeros(1), np.ones(1))])
 
 
 def ramp(time: list[float], temperature: list[float], step: float = 0.0) -> RampRecord:
@@ -73,6 +77,11 @@ REFUSED: list[tuple[Callable[[], object], type[Exception], str]] = [
     (lambda: estimate([], Design(("x",), ("x",))), EstimateError, "no position was measured"),
     (lambda: estimate([seen("a"), seen("a")], Design(("x",), ("x",))), EstimateError, "position a is there twice"),
     (lambda: estimate([seen("a", 1.0), seen("b")], Design(("x",), (), 1)), EstimateError, "position b: a temperature"),
+    (
+        lambda: estimate_jointly([of_one("a", UP[0]), of_one("a", UP[1])]),
+        EstimateError,
+        "a: two sensors of the fixture",
+    ),
     (lambda: fit_free(UP, UP, warmth=UP[0]), EstimateError, "3 free positions for 12 unknowns, three of them drifts"),
     (lambda: planned_uncertain(UP, 1.0, 1.0), EstimateError, "3 free positions for 9 unknowns: .* nine positions, and"),
     (lambda: characterise(np.tile([1.0, nan, nan, nan], 16), 1.0), EstimateError, "so much is missing"),

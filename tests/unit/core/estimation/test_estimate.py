@@ -1,7 +1,5 @@
-"""The estimator against published results, the documents' closed forms, and scipy's own optimiser."""
+"""The estimator against exact readings, and scipy's own optimiser."""
 
-import csv
-from dataclasses import replace
 from math import cos, radians, sin
 
 import numpy as np
@@ -10,7 +8,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
-from support.recordings import recording
 
 from tiltcal.core.estimation.estimate import estimate
 from tiltcal.core.estimation.positions import Design, Observation
@@ -19,37 +16,6 @@ from tiltcal.errors import EstimateError
 
 def observe(name: str, gravity: tuple[float, float, float], *mean: float, u: float = 0.1, t: float | None = None):
     return Observation(name, np.array(gravity), np.array(mean), np.full(len(mean), u), t)
-
-
-@pytest.fixture
-def observations() -> list[Observation]:
-    with open(recording("ferraris_session.csv")) as log:
-        rows = np.array([[float(row[f"acc_{axis}"]) for axis in "xyz"] for row in csv.DictReader(log)])
-    with open(recording("ferraris_segments.csv")) as segments:
-        return [
-            Observation(
-                row["position"],
-                np.array([float(row["gx"]), float(row["gy"]), float(row["gz"])]),
-                (still := rows[int(row["start"]) : int(row["end"])]).mean(axis=0),
-                still.std(axis=0) / np.sqrt(len(still)),
-            )
-            for row in csv.DictReader(segments)
-        ]
-
-
-class TestRecordedSession:
-    """imucal's six-face session: least squares over all six known faces (data/README.md)."""
-
-    OFFSET = (0.55114, -0.61973, 0.38564)
-    SENSITIVITY = ((9.77673, -0.14501, -0.07316), (0.08434, 9.83353, 0.01813), (0.13384, 0.02012, 10.03860))
-    TWO_FACE_OFFSET = (0.5371, -0.6162, 0.3989)
-
-    def test_a_perfect_jig_and_one_noise_give_the_published_least_squares(self, observations) -> None:
-        alike = [replace(one, u=np.full(3, 1e-3)) for one in observations]
-        found = estimate(alike, Design(("x", "y", "z"), ("x", "y", "z"), jig=0.0))
-        np.testing.assert_allclose(found.coefficients.offset, self.OFFSET, atol=5.1e-6)
-        np.testing.assert_allclose(found.coefficients.sensitivity, self.SENSITIVITY, atol=5.1e-6)
-        assert np.abs(found.residuals).max() == pytest.approx(0.026, abs=5e-4)
 
 
 directions = st.tuples(st.floats(-180, 180), st.floats(-90, 90)).map(
