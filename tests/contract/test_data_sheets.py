@@ -108,6 +108,10 @@ def test_the_facts_of_a_model_are_those_of_its_data_sheet(sheet: dict[str, Any],
             )
             for one, limit in zip(found, map(float, expected), strict=True):
                 assert 0.97 * limit <= one <= limit, (found, expected)
+        elif name == "spi":
+            assert model.spi is not None
+            figures = (*model.spi.modes, model.spi.fastest or 0, model.spi.speed or 0, model.spi.slowest)
+            assert figures == tuple(map(int, expected))
         elif name in ("gain", "drift"):
             unit = 0.01 if name == "gain" else model.sensitivity * radians(1.0)
             assert getattr(model.population, name) == pytest.approx([unit * float(k) for k in expected]), name
