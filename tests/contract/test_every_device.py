@@ -300,6 +300,7 @@ def test_drawn_parts_differ_and_keep_their_tolerances(device: str) -> None:
             assert len(set(errors)) == 60
             # A rectangular distribution ends at 1.73 of its standard deviation.
             assert max(map(abs, errors)) <= 1.74 * spread
+            assert min(errors) < 0.0 < max(errors)
 
 
 @pytest.mark.parametrize(
