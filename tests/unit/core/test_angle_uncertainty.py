@@ -18,7 +18,6 @@ from tiltcal.core.attitude import mounting_matrix
 from tiltcal.core.compensation import Compensated, Compensation
 from tiltcal.core.model import AXES, Coefficients, Limits, Mounting, Thermal, values
 from tiltcal.core.uncertain import ALIGNMENT, READING, Uncertain
-from tiltcal.errors import EstimateError
 
 Array = NDArray[np.float64]
 
@@ -150,14 +149,6 @@ def test_it_is_what_differences_give(name: str) -> None:
     _, standard, expanded = result_of(known, doubt, readings, temperature)
     np.testing.assert_allclose(standard, by_differences(known, doubt, readings, temperature), rtol=0.01, err_msg=name)
     np.testing.assert_allclose(expanded, NORMAL * standard, rtol=1.5e-3)
-
-
-@pytest.mark.parametrize(("name", "said"), [("offset.q", r"offset\.q"), ("mounting.turn.z", "x and y")])
-def test_what_a_sensor_of_one_channel_does_not_have_is_refused(name: str, said: str) -> None:
-    one = Coefficients(("x",), ("x",), np.array([1024.0]), np.array([[819.0]]))
-    doubt = uncertain_readings((name,), np.eye(1), np.full(1, NORMAL), np.zeros(1))
-    with pytest.raises(EstimateError, match=said):
-        result_of(one, doubt, np.array([[0.1]]), np.zeros(1))
 
 
 # Where a derivative says nothing, the interval still holds the truth. The noise is 2 counts, and alone.

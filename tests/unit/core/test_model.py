@@ -72,17 +72,17 @@ def test_referred_coefficients_predict_the_same(drift, gain, shift, temperature)
     assert other.predict(gravity, at)[0, 0] == pytest.approx(one.predict(gravity, at)[0, 0], rel=1e-9)
 
 
-def test_counted_from_another_reference_the_offset_takes_the_drifts_uncertainty_over() -> None:
-    """By hand: offset' = offset + 10 drift, with covariance 0.02 between them: 1 + 100 * 0.01 + 2 * 10 * 0.02 = 2.4."""
-    stated = Uncertain.errors(["offset.x", "temperature.offset.x.1"], np.array([[1.0, 0.02], [0.02, 0.01]]))
-    moved = uncertain_at(part(24.0, [0.5], []), stated, 34.0)
-    assert moved.by_name(moved.u) == pytest.approx({"offset.x": np.sqrt(2.4), "temperature.offset.x.1": 0.1})
+def test_an_offset_at_another_reference_takes_the_uncertainty_of_the_drift_over() -> None:
+    """By hand: o' = o + 10 k, with 0.02 between them: 1 + 100 * 0.01 + 2 * 10 * 0.02 = 2.4.
+
+    Of 0.1² and (20 * 0.1)² = 4, the latter with 1 degree of freedom: 1 in all, and t = 12.7, not 1.96.
+    """
+    names = ("offset.x", "temperature.offset.x.1", "mounting.turn.y")
+    covariance = np.array([[1.0, 0.02, 0.0], [0.02, 0.01, 0.0], [0.0, 0.0, 0.04]])
+    moved = uncertain_at(part(24.0, [0.5], []), Uncertain.errors(names, covariance), 34.0)
+    assert moved.by_name(moved.u) == pytest.approx(dict(zip(names, np.sqrt([2.4, 0.01, 0.04]), strict=True)))
     assert np.all(np.isinf(moved.dof))
-
-
-def test_an_offset_at_another_reference_has_the_degrees_of_freedom_of_the_drift_too() -> None:
-    """By hand: u² = 0.1² + (20 * 0.1)² = 4.01, of which 4 has 1 degree of freedom: 1 in all, and t = 12.7, not 1.96."""
-    names, dof = ["offset.x", "temperature.offset.x.1"], np.array([np.inf, 1.0])
-    moved = uncertain_at(part(20.0, [0.5], []), Uncertain.errors(names, np.diag([0.01, 0.01]), dof), 0.0)
+    few = Uncertain.errors(names[:2], np.diag([0.01, 0.01]), np.array([np.inf, 1.0]))
+    moved = uncertain_at(part(20.0, [0.5], []), few, 0.0)
     assert moved.u == pytest.approx([np.sqrt(4.01), 0.1])
     assert moved.factors == pytest.approx([12.7, 12.706], abs=0.1)

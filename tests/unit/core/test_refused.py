@@ -2,11 +2,14 @@
 
 from collections.abc import Callable
 from math import inf, nan, pi
+from typing import Any
 
 import numpy as np
 import pytest
+from support import accelerometer_disk as disk
 
 from tiltcal.core import closed_forms as forms
+from tiltcal.core.angle_uncertainty import CompensationWithUncertainty
 from tiltcal.core.attitude import gravity_from_tilt, mounting_rotation, normalised
 from tiltcal.core.compensation import Compensated, Compensation
 from tiltcal.core.derived import intrinsic, separated
@@ -16,7 +19,7 @@ from tiltcal.core.estimation.positions import Design, Observation, SensorObserva
 from tiltcal.core.model import AXES, Array, Coefficients, Mounting, vector_of
 from tiltcal.core.noise import characterise, kinds_of_noise
 from tiltcal.core.pair.demodulate import demodulate
-from tiltcal.core.pair.stage import estimated_angle, stage_record
+from tiltcal.core.pair.stage import estimate_spin, estimated_angle, stage_record
 from tiltcal.core.ramp.record import RampRecord, legs_of, ramp_record
 from tiltcal.core.uncertain import Uncertain
 from tiltcal.errors import EstimateError, InputError
@@ -25,6 +28,7 @@ FLAT = Coefficients(("x", "y"), ("x", "y"), np.zeros(2), np.eye(2))
 THREE = Coefficients(AXES, AXES, np.zeros(3), np.eye(3))
 NONE = Uncertain.errors((), np.zeros((0, 0)))
 UP = np.eye(3)
+CIRCLE = np.stack([np.cos(np.arange(20)), *np.tile(np.sin(np.arange(20)) / 2**0.5, (2, 1))], axis=1)
 
 
 def of(*rows: tuple[float, ...], mounting: Mounting | None = None) -> Coefficients:
@@ -38,6 +42,15 @@ def seen(name: str, temperature: float | None = None) -> Observation:
 
 def of_one(name: str, up: Array) -> SensorObservations:
     return SensorObservations(Design(("x",), ("x",)), [Observation(name, up, np.zeros(1), np.ones(1))])
+
+
+def doubted(name: str) -> CompensationWithUncertainty:
+    return CompensationWithUncertainty(Compensation(of((1,))), of((1,)), Uncertain.errors((name,), np.eye(1)))
+
+
+def spin(seconds: float, gap: float = 0.0, **made: Any) -> None:
+    taken = disk.record(seconds=seconds, **made)
+    estimate_spin(taken.time + gap * (taken.time > seconds / 2.0), taken.readings)
 
 
 def ramp(time: list[float], temperature: list[float], step: float = 0.0) -> RampRecord:
@@ -70,6 +83,8 @@ REFUSED: list[tuple[Callable[[], object], type[Exception], str]] = [
     (lambda: Compensation(FLAT)([[1.0]]), ValueError, r"shape \(1, 1\); the calibration takes \(n, 2\)"),
     (lambda: Compensation(FLAT)([[1.0, 2.0]], [1.0, 2.0]), ValueError, r"shape \(2,\); the readings need \(1,\)"),
     (lambda: Compensation(FLAT)([[1.0, 2.0]], out=Compensated.empty(1, 3)), ValueError, r"has shape \(1, 3\)"),
+    (lambda: doubted("offset.q"), EstimateError, "the calibration has no coefficient 'offset.q'"),
+    (lambda: doubted("mounting.turn.z"), EstimateError, "a mounting that is uncertain takes a sensor .* x and y"),
     (lambda: separated(np.ones((3, 3))), EstimateError, "two channels measure the same axis"),
     (lambda: separated(np.diag([1.0, 1.0, -1.0])), EstimateError, "left-handed frame"),
     (lambda: intrinsic(FLAT, NONE), EstimateError, "three channels over three axes"),
@@ -83,6 +98,9 @@ REFUSED: list[tuple[Callable[[], object], type[Exception], str]] = [
         "a: two sensors of the fixture",
     ),
     (lambda: fit_free(UP, UP, warmth=UP[0]), EstimateError, "3 free positions for 12 unknowns, three of them drifts"),
+    # A circle lies on many ellipsoids, and so does one attitude.
+    (lambda: fit_free(CIRCLE, 0 * CIRCLE), EstimateError, "20 free positions do not determine .*: add positions"),
+    (lambda: fit_free(0 * CIRCLE, 0 * CIRCLE), EstimateError, "the readings lie on no ellipsoid: add positions"),
     (lambda: planned_uncertain(UP, 1.0, 1.0), EstimateError, "3 free positions for 9 unknowns: .* nine positions, and"),
     (lambda: characterise(np.tile([1.0, nan, nan, nan], 16), 1.0), EstimateError, "so much is missing"),
     (lambda: kinds_of_noise(np.ones(1), np.array([inf]), np.ones(1, int), 64), EstimateError, "another unit"),
@@ -91,6 +109,10 @@ REFUSED: list[tuple[Callable[[], object], type[Exception], str]] = [
     (lambda: stage_record("a", np.full(3, nan), [UP[0]]).turns, EstimateError, "the record has 0.00 turns"),
     (lambda: estimated_angle(np.full(3, nan), [UP[0]]), EstimateError, "no row has a time"),
     (lambda: estimated_angle(UP[0], [np.full(3, nan)]), EstimateError, "no row of the record has all readings"),
+    (lambda: spin(80.0, scale=(0.0,) * 4), EstimateError, "no spectral line is above the noise"),
+    (lambda: spin(10.0), EstimateError, r"turns 1.\d\d times in it: .* less than 2 turns"),
+    (lambda: spin(0.2), EstimateError, "too short"),
+    (lambda: spin(40.0, gap=3600.0), EstimateError, "the gaps of the record are more than 7 times"),
     (lambda: ramp_record(np.arange(31.0), np.zeros(31), [np.zeros(31)]), EstimateError, "has 31 rows .* too few"),
     (lambda: legs_of(ramp([0, 2, 2], [0, 9, 0])), EstimateError, "goes back or stands still"),
     (

@@ -9,7 +9,6 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from tiltcal.core.estimation.free import fit_free
-from tiltcal.errors import EstimateError
 
 OFFSET = np.array([0.3, -0.2, 0.1])
 SENSITIVITY = np.array([[9.9, 0.05, -0.08], [0.0, 9.7, 0.12], [0.0, 0.0, 10.1]])
@@ -63,18 +62,3 @@ def test_misfits_below_the_noise_are_chance_or_sway() -> None:
     assert sway.uncertain(np.inf).u[0] == pytest.approx(
         by_chance.uncertain(np.inf).u[0] * sway.scatter / 0.0101, rel=0.05
     )
-
-
-@pytest.mark.parametrize(
-    "up",
-    [
-        attitudes(8),
-        np.repeat([[0.0, 0.0, 1.0]], 12, axis=0),
-        # A circle lies on many ellipsoids.
-        np.stack([np.cos(np.arange(20)), np.sin(np.arange(20)), np.zeros(20)], axis=1),
-    ],
-    ids=["too few", "one attitude", "one plane"],
-)
-def test_refused(up: NDArray[np.float64]) -> None:
-    with pytest.raises(EstimateError):
-        fit_free(readings(up), np.zeros_like(up))

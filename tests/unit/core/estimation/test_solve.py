@@ -1,6 +1,5 @@
 """What is said of an uncertainty is true: against formulas by hand, and against many simulated benches."""
 
-from dataclasses import replace
 from math import cos, radians, sin, sqrt
 
 import numpy as np
@@ -10,7 +9,6 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from support.simulated_bench import Plan, design, fixture, measured, part, plan_of, sweep, two_temperatures
 
-from tiltcal.core.attitude import gravity_from_tilt
 from tiltcal.core.estimation.equations import Equations
 from tiltcal.core.estimation.estimate import Estimate, estimate, estimate_jointly
 from tiltcal.core.estimation.positions import Design, Observation, Prior, SensorObservations
@@ -31,37 +29,14 @@ class TestBudgetByHand:
 
     S, NOISE, STEP, JIG = 819.0, 0.12, 0.05, 0.1
 
-    def pair(self, angle: float) -> list[Observation]:
-        u, adc = np.array([np.hypot(self.NOISE, self.STEP)]), np.array([self.STEP])
-        return [
-            Observation(
-                f"{sign:+d}",
-                np.array(gravity_from_tilt({"x": sign * angle})),
-                np.array([1024.0 + sign * self.S * sin(radians(angle))]),
-                u,
-                adc=adc,
-            )
-            for sign in (1, -1)
-        ]
-
-    def test_a_pair_of_tilts(self) -> None:
-        """S = (u1 - u2) / (2 sin a): noise and step by sqrt(2) / (2 sin a), each angle by S cos a / (2 sin a)."""
-        found = estimate(self.pair(30.0), Design(("x",), ("x",), jig=self.JIG))
-        by_noise = self.NOISE * sqrt(2) / (2 * sin(radians(30)))
-        by_step = self.STEP * sqrt(2) / (2 * sin(radians(30)))
-        by_jig = sqrt(2) * self.S * cos(radians(30)) * radians(self.JIG) / (2 * sin(radians(30)))
-        assert found.uncertainty()["sensitivity.x.x"] == pytest.approx(sqrt(by_noise**2 + by_step**2 + by_jig**2), 1e-4)
-        variance = {source: part[1] for source, part in found.uncertain.sources.items()}
-        assert variance["noise"] == pytest.approx(by_noise**2, rel=1e-5)
-        assert variance["adc"] == pytest.approx(by_step**2, rel=1e-5)
-        assert variance["jig"] == pytest.approx(by_jig**2, rel=1e-4)
-
     def test_one_position_and_a_sensitivity_that_is_known_before(self) -> None:
         """The reading and what is known before share the change by their variances."""
         t, known, jig = radians(30.0), 20.0, radians(self.JIG) * self.S * cos(radians(30.0))
         priors = {"offset.x": Prior(1024.0), "sensitivity.x.x": Prior(self.S, known)}
         design = Design(("x",), ("x",), jig=self.JIG, priors=priors)
-        reading = replace(self.pair(30.0)[0], dof=np.array([9.0]))
+        u, adc = np.array([np.hypot(self.NOISE, self.STEP)]), np.array([self.STEP])
+        mean, up = np.array([1024.0 + self.S * sin(t)]), np.array([sin(t), 0.0, cos(t)])
+        reading = Observation("p", up, mean, u, dof=np.array([9.0]), adc=adc)
         equations = Equations([SensorObservations(design, [reading])])
         budget = budgets(solved_at(equations, start_as_set(equations)))[0]
         by_reading = known**2 * sin(t) / (self.NOISE**2 + self.STEP**2 + (known * sin(t)) ** 2 + jig**2)

@@ -1,7 +1,5 @@
 """The angle of a stage, followed from row to row, and estimated where there is no encoder."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -11,9 +9,6 @@ from support import accelerometer_disk as disk
 
 from tiltcal.core.model import Array
 from tiltcal.core.pair.stage import estimate_spin, estimated_angle, follow
-from tiltcal.errors import EstimateError
-
-SHORT = disk.record(seconds=40)
 
 
 @given(st.floats(-0.12, 0.4), st.floats(0.0, 1.0), st.integers(2, 60), st.integers(1, 59))
@@ -68,20 +63,3 @@ def test_a_speed_that_changes_is_followed_where_rows_show_it() -> None:
     readings[200_000:200_600] = 0.0
     away = estimated_angle(time, list(readings.T)) / 360.0 - turned
     assert np.max(np.abs(away - np.round(away))) < 6e-3
-
-
-@pytest.mark.parametrize(
-    ("taken", "said"),
-    [
-        (disk.record(seconds=80, scale=(0.0,) * 4), "no spectral line is above the noise"),
-        (disk.record(seconds=10), "less than 2 turns"),
-        (disk.record(seconds=0.2), "too short"),
-        (
-            replace(SHORT, time=SHORT.time + 3600.0 * (SHORT.time > 20.0)),
-            "the gaps of the record are more than 7 times",
-        ),
-    ],
-)
-def test_where_there_is_no_spin(taken: disk.Record, said: str) -> None:
-    with pytest.raises(EstimateError, match=said):
-        estimate_spin(taken.time, taken.readings)
