@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 import tiltcal
+from tiltcal.core.noise import AllanFit, Average, ChannelNoise, NoiseScale
 from tiltcal.errors import InputError
-from tiltcal.logs.noise import Pace, evenly_spaced
+from tiltcal.logs.noise import Pace, SensorNoise, evenly_spaced
 
 
 def paced(times: list[float]) -> tuple[Pace, list[float]]:
@@ -64,3 +65,56 @@ def test_times_to_the_second_are_those_of_faster_rows() -> None:
     columns, pace = evenly_spaced([np.arange(1000.0)], np.repeat(np.arange(10.0), 100), "log.csv")
     assert (len(columns[0]), pace.gaps) == (1000, 0)
     assert pace.interval == pytest.approx(9.0 / 999.0)
+
+
+def channel(sigma: float, follows: bool, step: float, **terms: float) -> ChannelNoise:
+    """Independent samples each 10 ms, of which averages of a hundred scatter half as much again."""
+    tau, sizes = 0.01 * 2.0 ** np.arange(9), ((1, sigma), (10, sigma / 10**0.5), (100, 0.15 * sigma))
+    averages = [Average(n, 5000 // n, 1024.0, std, 5.0 * sigma / n**0.5) for n, std in sizes]
+    allan, fit = sigma * np.sqrt(0.01 / tau), AllanFit(terms, 0, np.full(9, 40.0), follows)
+    return ChannelNoise(1024.0, 5000, step, averages, tau, allan, 0.9 * allan, 1.2 * allan, fit)
+
+
+WORDS = """\
+5000 samples of x, y, 0.01 s apart (100 Hz), 50.03 s
+     samples  averages     std [count]    if white   range [count]     std [°]   range [°]
+x          1      5000             0.6         0.6               3       0.042        0.21
+          10       500          0.1897      0.1897          0.9487      0.0133      0.0664
+         100        50            0.09        0.06             0.3      0.0063       0.021
+y          1      5000             0.9         0.9             4.5
+          10       500          0.2846      0.2846           1.423
+         100        50           0.135        0.09            0.45
+
+x   white noise 0.0849 count/√Hz (0.104 mg/√Hz, 0.00594 °/√Hz)
+    bias instability not reached: below 0.045 count (0.0549 mg, 0.00315 °) after 2.56 s
+    step 1 count, of which averaging leaves 0.0012 count
+y   white noise 0.127 count/√Hz
+    flicker noise at any time 0.0133 count
+    random walk 0.03 count/√s
+    drift 0.04 count/s
+    bias instability 0.0563 count at 2.56 s
+
+measure --samples 256: a position takes 2.56 s at this pace
+  its mean is uncertain by x 0.0375 count (0.0458 mg, 0.00262 °), y 0.0563 count
+  y: the longest that this record supports; more samples still help: record longer
+  samples by the range of averages: x 18, y 100
+  degrees of an axis near level, by the nominal sensitivity of sca100t-d02"""
+
+
+def test_noise_is_told_in_whole_words() -> None:
+    """√2 times 0.06 count√s are 0.0849 count/√Hz, of 819 count/g 0.104 mg; 0.9 count over √256 are 0.0563."""
+    channels = {"x": channel(0.6, True, 1.0, N=0.06), "y": channel(0.9, False, 0.0, N=0.09, B=0.02, K=0.03, R=0.04)}
+    scale = NoiseScale("count", {"x": 819.0}, "nominal sensitivity of sca100t-d02")
+    moved, stuck, pace = [(100, 250), (400, 420)], (500, 600), Pace(0.01, 5000, gaps=1, lost=3)
+    found = SensorNoise(pace, channels, {"y": 2}, 1, moved, stuck, scale, 0.05, ["said before"])
+    assert str(found) == WORDS
+    assert found.remarks == [
+        "said before",
+        "it was not still: moved or knocked from 1 to 2.5 s, and 1 times more; the numbers are of noise and motion "
+        "together: take a record at rest, or its rows at rest",
+        "the readings were stuck from 5 to 6 s: no channel changed",
+        "1 gap in its times, 3 rows long",
+        "y is missing in 2 rows",
+        "y: no sum of white noise, flicker noise, random walk and drift follows its Allan deviation; a vibration may be "
+        "in it, or a filter",
+    ]

@@ -42,9 +42,14 @@ def test_a_moment_may_leave_out_seconds_and_zone() -> None:
         "2026-05-01 12:00:00.25 UTC": 0.25,
         " 2026-05-01 12:00:01Z ": 1.0,
         "2026-05-01": -43200.0,
+        **dict.fromkeys(("13-May-26 12:00", "13.05.2026 12:00", "13.5.26, 12.00"), 12 * 86400.0),
+        **{"1.5.2026 1:30 PM": 5400.0, "1-may-2026 12:00:07.5 AM": -43192.5, "2026/5/1 11:59:59 am": -1.0},
     }
     for text, after_noon in moments.items():
         assert seconds(pl.Series([text, "2026-05-01T12:00:00"])).tolist() == [NOON + after_noon, NOON], text
+    for order, text in (("month", "05/13/2026 12:00:00 pm"), ("day", "13/05/26 12:00"), ("open", "13/05/2026 12:00")):
+        found = seconds(pl.Series([text, "2026-05-13 12:00"]), order)
+        assert found[0] == pytest.approx(found[1] if order != "open" else np.nan, nan_ok=True)
 
 
 @pytest.mark.parametrize("block", [8, 1 << 20])
