@@ -115,6 +115,6 @@ def test_noise_is_told_in_whole_words() -> None:
         "the readings were stuck from 5 to 6 s: no channel changed",
         "1 gap in its times, 3 rows long",
         "y is missing in 2 rows",
-        "y: no sum of white noise, flicker noise, random walk and drift follows its Allan deviation; a vibration may be "
-        "in it, or a filter",
+        "y: no sum of white noise, flicker noise, random walk and drift follows its Allan deviation; a vibration may "
+        "be in it, or a filter",
     ]
