@@ -13,6 +13,7 @@ from support.command import tiltcal
 
 from tiltcal.files.calibration import CalibrationRecord, read_calibration
 from tiltcal.library.calibration import Calibration
+from tiltcal.logs.formats import open_log
 
 FORMATS = ("csv", "parquet", "nc")
 
@@ -49,6 +50,23 @@ def test_an_output_of_another_format_is_refused(folder: Path, name: str) -> None
     done = tiltcal("apply", FIXTURES / "plane.yaml", "rest.csv", "-o", name, cwd=folder, code=2)
     assert not (folder / name).exists()
     assert f"{name}: a log is written as .csv or .parquet, or stays .nc" in done.stderr
+
+
+@pytest.mark.parametrize("end", FORMATS)
+def test_a_log_is_read_whole_and_says_how_far(end: str, tmp_path: Path) -> None:
+    """Cell by cell what was written, in several blocks, and the share of its bytes with each."""
+    count = np.arange(300_000.0)
+    write(pl.DataFrame({"time": count / 100.0, "x": np.sin(count), "n": count}), tmp_path, "long")
+    path, said, read = tmp_path / f"long.{end}", list[tuple[int, int | None]](), []
+    with open_log(path, progress=lambda *done: said.append(done)) as log:
+        read += [np.stack([block.values[k] for k in (0, 1, 2)]) for block in log.rows([2, 0, 1], 0)]
+    np.testing.assert_array_equal(np.concatenate(read, axis=1), [count / 100.0, np.sin(count), count])
+    size = path.stat().st_size
+    assert len(said) == len(read) > 1
+    assert said[-1] == (size, size)
+    shares = np.cumsum([len(part[0]) for part in read]) / len(count)
+    # Blocks are read ahead.
+    assert all(0.95 * share * size <= done <= size == whole for share, (done, whole) in zip(shares, said, strict=True))
 
 
 def test_noise(folder: Path) -> None:

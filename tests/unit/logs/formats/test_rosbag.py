@@ -60,9 +60,9 @@ def test_a_bag_is_fitted_and_applied(tmp_path: Path) -> None:
     done = tiltcal("apply", "R-1.yaml", run, "-o", "out.parquet", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     out = pl.read_parquet(tmp_path / "out.parquet")
-    assert len(out) == 16 * 260
-    assert out["time"][0] == pytest.approx(1_700_000_000.0)
-    assert out["wz"][0] == 0.25
+    rates = np.tile([0.0, 0.0, 0.25], (16 * 260, 1))
+    time = 1_700_000_000.0 + 0.01 * np.arange(16 * 260.0)
+    np.testing.assert_allclose(out.to_numpy()[:, :7], np.column_stack([time, held(16, 200), rates]), rtol=1e-15)
     assert out["g_x"][:200].mean() == pytest.approx(1.0, abs=1e-3)
     folder = tiltcal("apply", "R-1.yaml", "run", "-o", "folder.csv", cwd=tmp_path)
     assert folder.returncode == 0, folder.stderr
