@@ -2,7 +2,6 @@
 
 import json
 import shutil
-import subprocess
 from math import cos, degrees, radians, sin
 from pathlib import Path
 from typing import Any
@@ -10,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from support.command import tiltcal as run
+from support.export_study import computed_in_c
 from support.virtual_device import VirtualDevice
 
 import tiltcal
@@ -143,7 +143,6 @@ def test_the_bench_the_replay_and_a_header_agree(tmp_path: Path) -> None:
     )
     run("replay", "a.journal.jsonl", "--golden", "a.yaml", cwd=tmp_path, code=0)
     assert run("check", "a.yaml", cwd=tmp_path).stdout == "a.yaml: calibration, good\n"
-    run("export", "a.yaml", "--to", "c", "-o", "tilt.h", cwd=tmp_path, code=0)
     assert "takes components of gravity" in run("export", "a.yaml", "--to", "iio", cwd=tmp_path, code=2).stderr
     rows = [(10.0, 5.0), (-200.0, 250.0), (400.0, -100.0)]
     (tmp_path / "log.csv").write_text("x,y\n" + "".join(f"{x},{y}\n" for x, y in rows), encoding="utf-8")
@@ -155,26 +154,12 @@ def test_the_bench_the_replay_and_a_header_agree(tmp_path: Path) -> None:
         assert module["degrees"](row) == pytest.approx([*map(float, expected)], abs=1e-9)
     assert np.isnan(module["degrees"]((np.nan, 5.0))).all()
     assert json.loads(run("export", "a.yaml", "--to", "json", cwd=tmp_path).stdout)["reads"] == "angle"
-    if shutil.which("cc") is None:
-        pytest.skip("there is no compiler: cc is not installed")
-    (tmp_path / "main.c").write_text(
-        '#include <stdio.h>\n#include <math.h>\n#include "tilt.h"\nint main(void)\n{\n'
-        '    float u[2], d[2];\n    while (scanf("%f,%f", u, u + 1) == 2) {\n'
-        '        tilt_degrees(u, NAN, d);\n        printf("[%.5f, %.5f]\\n", d[0], d[1]);\n    }\n    return 0;\n}\n'
-    )
-    subprocess.run(["cc", "-std=c99", "-Werror", "-o", "main", "main.c", "-lm"], cwd=tmp_path, check=True)
-    said = subprocess.run(
-        ["./main"],
-        cwd=tmp_path,
-        input="".join(f"{x},{y}\n" for x, y in [*rows, (np.nan, 5.0)]),
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    *lines, missing = said.stdout.splitlines()
-    assert missing.count("nan") == 2
-    for line, expected in zip(lines, applied, strict=True):
-        assert json.loads(line) == pytest.approx([*map(float, expected)], abs=1e-3)
+    if shutil.which("gcc") is None:
+        pytest.skip("gcc is not installed")
+    header = run("export", "a.yaml", "--to", "c", "--name", "c0", cwd=tmp_path, code=0).stdout
+    (table,) = computed_in_c(tmp_path, [header], [(np.array([*rows, (np.nan, 5.0)]), np.full(4, 25.0))])
+    assert np.isnan(table[3, 1::2]).all()
+    assert table[:3, 1::2] == pytest.approx(np.array(applied, dtype=float), abs=1e-3)
 
 
 def test_free_positions_and_a_convention_of_components_are_refused() -> None:
@@ -187,13 +172,8 @@ def test_free_positions_and_a_convention_of_components_are_refused() -> None:
 
 @pytest.mark.parametrize(("stated", "y"), [("", 20.0), ("&angles=inclination", 20.0), ("&angles=euler", 21.344)])
 def test_a_virtual_device_prints_in_its_convention(stated: str, y: float) -> None:
-    ideal: dict[str, Any] = {
-        "offset": {"x": 0.0, "y": 0.0},
-        "sensitivity": {axis: {axis: 57.29578} for axis in "xy"},
-        "noise": {},
-        "drift": {},
-        "gain": {},
-    }
+    ideal: dict[str, Any] = {"offset": {"x": 0.0, "y": 0.0}, "noise": {}, "drift": {}, "gain": {}}
+    ideal["sensitivity"] = {axis: {axis: 57.29578} for axis in "xy"}
     device = VirtualDevice(find_model("serial-columns"), f"columns=x,y&unit=deg{stated}", **ideal)
     device.fixture.gravity = gravity_from_tilt({"x": 20.0, "y": 20.0})  # roll: atan2(0.34202, 0.87525)
     assert device.fresh().values == pytest.approx((20.0, y), abs=0.01)

@@ -10,8 +10,6 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from polars.testing import assert_frame_equal
 from support import FIXTURES
 from support.applied import apply, refused
@@ -106,30 +104,25 @@ class TestOutput:
         assert made["sha256"] == hashlib.sha256(WARM.encode()).hexdigest()
 
 
-class TestBesideCsv:
-    VALUES = st.one_of(st.none(), st.floats(-10.0, 10.0), st.sampled_from([nan, 2.5, 4.5, 4.6, 1e300, 5e-324]))
-
-    @settings(max_examples=25)  # each applies four times
-    @given(rows=st.lists(st.tuples(VALUES, VALUES, VALUES), min_size=1, max_size=20), uncertainty=st.booleans())
-    def test_flags_and_values_are_the_same(
-        self, rows: list[tuple[float | None, float | None, float | None]], uncertainty: bool
-    ) -> None:
-        calibration = FIXTURES / "mavs.yaml" if uncertainty else Path("cal.yaml")
-        log = pl.DataFrame(rows, schema={"x": pl.Float64, "y": pl.Float64, "temperature": pl.Float64}, orient="row")
-        more = ["--uncertainty"] if uncertainty else []
-        log.write_parquet("same.parquet")
-        log.write_csv("same.csv")
-        for start in ("same.parquet", "same.csv"):
-            for end in ("out.parquet", "out.csv"):
-                result = apply(str(calibration), start, "-o", start + "." + end, *more)
-                assert result.exit_code == 0, result.exception
-        typed, from_text = (pl.read_parquet(f"{start}.out.parquet") for start in ("same.parquet", "same.csv"))
-        added = typed.columns[3:]
-        assert_frame_equal(typed.select(added), from_text.select(added), check_exact=True)
-        texts = [pl.read_csv(f"{start}.out.csv", infer_schema=False) for start in ("same.parquet", "same.csv")]
-        assert_frame_equal(texts[0].select(added), texts[1].select(added))
-        plain = texts[0].select(added).cast({name: typed.schema[name] for name in added})
-        assert_frame_equal(plain, typed.select(added), check_exact=True)
+@pytest.mark.parametrize("uncertainty", [False, True])
+def test_flags_and_values_are_those_of_csv_whichever_way_they_go(uncertainty: bool) -> None:
+    """Every pair of odd readings, and every odd temperature with a sound one."""
+    calibration, more = (str(FIXTURES / "mavs.yaml"), ["--uncertainty"]) if uncertainty else ("cal.yaml", [])
+    odd = (None, nan, 2.5, 3.123456789012345, 4.5, 4.6, -10.0, 1e300, 5e-324)
+    rows = [(x, y, 20.0) for x in odd for y in odd] + [(2.5, 2.5, celsius) for celsius in odd]
+    log = pl.DataFrame(rows, schema={"x": pl.Float64, "y": pl.Float64, "temperature": pl.Float64}, orient="row")
+    log.write_parquet("same.parquet")
+    log.write_csv("same.csv")
+    for start in ("same.parquet", "same.csv"):
+        for end in ("out.parquet", "out.csv"):
+            assert apply(calibration, start, "-o", f"{start}.{end}", *more).exit_code == 0
+    typed, from_text = (pl.read_parquet(f"{start}.out.parquet") for start in ("same.parquet", "same.csv"))
+    added = typed.columns[3:]
+    assert_frame_equal(typed.select(added), from_text.select(added), check_exact=True)
+    texts = [pl.read_csv(f"{start}.out.csv", infer_schema=False) for start in ("same.parquet", "same.csv")]
+    assert_frame_equal(texts[0].select(added), texts[1].select(added))
+    plain = texts[0].select(added).cast({name: typed.schema[name] for name in added})
+    assert_frame_equal(plain, typed.select(added), check_exact=True)
 
 
 class TestFromCsvToParquet:

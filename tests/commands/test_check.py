@@ -4,6 +4,7 @@ import json
 import shutil
 from pathlib import Path
 
+import pytest
 from support import FIXTURES, ROOT
 from support.command import tiltcal
 
@@ -47,7 +48,10 @@ def test_a_wrong_file_does_not_hide_the_others(tmp_path: Path) -> None:
 
 def test_a_schema_is_printed_without_files_alone() -> None:
     """With a file and --json there were two JSON documents."""
-    assert json.loads(tiltcal("check", "--schema", "bench", "--json").stdout)["type"] == "object"
+    assert json.loads(tiltcal("check", "--schema", "bench", "--json", code=0).stdout)["type"] == "object"
+    told = [{"file": str(FIXTURES / "plane.yaml"), "kind": "calibration", "findings": [], "remarks": []}]
+    shown = tiltcal("check", FIXTURES / "plane.yaml", "--json", code=0).stdout
+    assert shown == json.dumps(told, indent=2) + "\n"
 
 
 CHAMBER = (
@@ -85,35 +89,48 @@ def test_a_bench_that_is_measured_is_checked_with_its_lines(tmp_path: Path) -> N
         assert tiltcal(*command, cwd=tmp_path, code=2).stderr.split(" no ")[0] == "tiltcal: bench.yaml:6: sensors[0]:"
 
 
-def test_a_calibration_of_other_digits_beside_its_journal(tmp_path: Path) -> None:
-    other = "plane.journal.jsonl does not give this file: "
-    text = PLANE.replace('"y": 11.2,', '"y": 11.3,')
-    sha256 = text[text.index("plane.journal.jsonl, ") :].split('"')[1]
-    shutil.copy(FIXTURES / "plane.journal.jsonl", tmp_path)
-    agrees = "calibration, plane.journal.jsonl gives other digits with this version, which agree within their"
-    covariance = "uncertainty.covariance.matrix[6][9], uncertainty.covariance.matrix[9][6] differ"
-    for old, new, code, says in (
-        ("", "", 0, agrees),
-        ("single_reading: {x: 0.6688,", "single_reading: {x: 0.669,", 0, agrees),
-        ('"y": 11.3,', '"y": 131.3,', 1, f"{other}the coefficients differ"),
-        (sha256, sha256[::-1], 1, f"{other}provenance.journal.sha256 differ"),
-        ("serial: SIM-42, unit", "serial: SIM-43, unit", 1, f"{other}sensor.serial differ"),
-        (
-            "tilt: {x: [-30.040483, 30.040483]",
-            "tilt: {x: [-89.0, 89.0]",
-            1,
-            f"{other}limits.tilt.x[0], limits.tilt.x[1] differ",
-        ),
-        ("operator: sim", "operator: me", 1, f"{other}provenance.operator differ"),
-        ("single_reading: {x: 0.6688,", "single_reading: {x: 0.5,", 1, f"{other}uncertainty.single_reading.x differ"),
-        ("-309.81124", "-209.81124", 1, other + covariance),
-    ):
-        assert old in text
-        (tmp_path / "plane.yaml").write_text(text.replace(old, new), encoding="utf-8")
-        assert says in tiltcal("check", "plane.yaml", cwd=tmp_path, code=code).stdout
-    (tmp_path / "plane.yaml").unlink()
-    tiltcal("replay", "plane.journal.jsonl", "-o", "plane.yaml", cwd=tmp_path, code=0)
-    assert tiltcal("check", "plane.yaml", cwd=tmp_path).stdout == "plane.yaml: calibration, good\n"
+MATRIX = "uncertainty.covariance.matrix"
+PLACES = "positions[0].time, positions[1].time, positions[2].time, positions[3].time"
+OTHERS = "fit.residuals.x-tilt3, fit.residuals.x-tilt2, procedure.set.x-tilt3, procedure.set.x-tilt2"
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new", "keys"),
+    [
+        ("plane", '"y": 11.2,', '"y": 11.3,', ""),
+        ("plane", "single_reading: {x: 0.6688,", "single_reading: {x: 0.669,", ""),
+        ("plane", '"y": 11.2,', '"y": 131.3,', "the coefficients"),
+        ("plane", "offset: {x: 1023", "offset: {x: 1000", "the coefficients"),
+        ("plane", 'sha256: "', 'sha256: "0', "provenance.journal.sha256"),
+        ("plane", "serial: SIM-42, unit", "serial: SIM-43, unit", "sensor.serial"),
+        ("plane", "tilt: {x: [-30.040483, 30.040483]", "tilt: {x: [-89, 89]", "limits.tilt.x[0], limits.tilt.x[1]"),
+        ("plane", "operator: sim", "operator: me", "provenance.operator"),
+        ("plane", "single_reading: {x: 0.6688,", "single_reading: {x: 0.6620,", "uncertainty.single_reading.x"),
+        ("plane", "-309.81124", "-209.81124", f"{MATRIX}[6][9], {MATRIX}[9][6]"),
+        ("plane", "2000-01-01T00:", "2001-01-01T00:", f"{PLACES}, provenance.started and 1 more"),
+        ("plane", "x-tilt2", "x-tilt3", f"{OTHERS}, positions[1].position"),
+        ("plane", "  single_reading: {x: 0.6688, \"y\": 0.58}\n", "", "uncertainty.single_reading"),
+        ("mavs", "reference: 24.0", "reference: 20.5", "calibration.temperature.reference"),
+        ("mavs", "range: [5.078", "range: [4.078", "calibration.temperature.range[0]"),
+        ("rotation", "frequency: 0", "frequency: 1", "spin.frequency"),
+    ],
+)  # fmt: skip
+def test_a_calibration_of_other_digits_beside_its_journal(
+    name: str, old: str, new: str, keys: str, tmp_path: Path
+) -> None:
+    """Digits that agree within 1 % of an uncertainty, or within the uncertainty of a coefficient, are a remark."""
+    shutil.copy(FIXTURES / f"{name}.journal.jsonl", tmp_path)
+    text = (FIXTURES / f"{name}.yaml").read_text(encoding="utf-8")
+    assert old in text
+    (tmp_path / f"{name}.yaml").write_text(text.replace(old, new), encoding="utf-8")
+    kind, journal = "pair calibration" if name == "rotation" else "calibration", f"{name}.journal.jsonl"
+    agrees = "gives other digits with this version, which agree within their uncertainty"
+    said = f"does not give this file: {keys} differ" if keys else agrees
+    shown = tiltcal("check", f"{name}.yaml", cwd=tmp_path, code=1 if keys else 0).stdout
+    assert shown == f"{name}.yaml: {kind}, {journal} {said}\n"
+    (tmp_path / f"{name}.yaml").unlink()
+    tiltcal("replay", journal, "-o", f"{name}.yaml", cwd=tmp_path, code=0)
+    assert tiltcal("check", f"{name}.yaml", cwd=tmp_path).stdout == f"{name}.yaml: {kind}, good\n"
 
 
 def test_the_devices_that_are_shipped_are_checked() -> None:

@@ -35,9 +35,13 @@ def test_what_is_used_is_said_and_stands_in_the_journal(users: Path) -> None:
     header = json.loads(Path("calibrations/S-1.journal.jsonl").read_text().splitlines()[0])
     assert (header["person"], header["settings"]["jig"], header["sensors"][0]["output"]) == ("Ada", 0.05, "S-1.yaml")
     assert header["references"] == {"table": {"id": "T-1", "due": "2020-03-01"}}
-    shown = tiltcal("config").stdout
-    assert f"operator    Ada  ({users})" in shown
-    assert "jig         0.05°  (tiltcal.toml)" in shown
+    shown = tiltcal("config", code=0).stdout.splitlines()
+    assert shown[:3] == [f"user        {users}", "project     tiltcal.toml", f"operator    Ada  ({users})"]
+    assert sorted(shown[3:]) == [
+        "folder      calibrations  (tiltcal.toml)",
+        "jig         0.05°  (tiltcal.toml)",
+        f"references  table T-1  ({users})",
+    ]
     assert "jig of 0.05°" in tiltcal("plan", "plane", "--sensor", "sca100t-d02").stdout
     assert (
         "jig 0.05°"

@@ -83,14 +83,11 @@ def test_an_engine_that_panics(tmp_path: Path) -> None:
     assert not (tmp_path / "out.csv").exists()
 
 
-def test_an_offset_that_is_text(tmp_path: Path) -> None:
+def test_an_offset_that_is_text_and_rows_that_are_only_declared(tmp_path: Path) -> None:
+    """10¹² rows of three variables would be 24 TB."""
     netcdf(tmp_path / "log.nc", add_offset="two")
     done = tiltcal("apply", CAL, "log.nc", "-o", "out.nc", cwd=tmp_path, code=2)
     assert "log.nc: this is no NetCDF-4 file, or a damaged one: " in done.stderr
-
-
-def test_rows_that_are_only_declared_take_no_memory(tmp_path: Path) -> None:
-    """10¹² rows of three variables would be 24 TB."""
     netcdf(tmp_path / "log.nc", rows=10**12)
     with open_log(tmp_path / "log.nc") as log:
         assert len(next(log.rows([0, 1, 2]))) <= 1 << 21

@@ -34,11 +34,7 @@ from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
 from tiltcal.files.coefficients import Covariance, Uncertainty
 from tiltcal.files.results import DerivedRecord, Provenance
 
-
-def require(*programs: str) -> None:
-    for program in programs:
-        if shutil.which(program) is None:
-            pytest.skip(f"{program} is not installed")
+compiling = pytest.mark.skipif(shutil.which("gcc") is None, reason="gcc is not installed")
 
 
 @pytest.mark.parametrize("target", ["python", "json", "c-fixed", "fusion", "ros", "iio", "px4"])
@@ -63,9 +59,9 @@ def test_the_bound_is_never_exceeded_and_never_far_from_the_error(target: str) -
     assert shares == [] or 0.7 < np.median(shares) < 1.0
 
 
+@compiling
 def test_the_header_computes_the_tilts_of_apply(tmp_path: Path) -> None:
     """Twenty random calibrations with all terms; benchmarks/export.py tries ten thousand."""
-    require("gcc")
     records = [random_calibration(seed, reach=0.7) for seed in range(20)]
     headers = [exported(Source(record, record.limits, f"c{k}"), "c") for k, record in enumerate(records)]
     rows = [readings(record, 200, k) for k, record in enumerate(records)]
@@ -105,9 +101,9 @@ def ideal(channels: str, scale: float) -> CalibrationRecord:
     return CalibrationRecord(SensorIdentity("recorded", "I-1", "m/s2", axes), coefficients)
 
 
+@compiling
 def test_tilts_pitch_and_roll_are_defined_as_those_of_apply(tmp_path: Path) -> None:
     """Beyond 2 g there is no tilt; at 45° upside down roll is 180°; an arcsine of up to 1.02 is ±90°."""
-    require("gcc")
     for name, record in (("three", ideal("xyz", G)), ("two", ideal("xy", 1.0))):
         export(tmp_path, record, "c", name=name)
         (tmp_path / "out").rename(tmp_path / f"{name}.h")
@@ -120,9 +116,9 @@ def test_tilts_pitch_and_roll_are_defined_as_those_of_apply(tmp_path: Path) -> N
     assert np.isnan(clipped[1])
 
 
+@compiling
 def test_the_header_takes_no_axis_below_the_horizon(tmp_path: Path) -> None:
     """A channel that reads 0.1 of z, and -1 g and a little more: as apply has it, z is 0 there."""
-    require("gcc")
     axes = ("x", "y", "z")
     leaning = Coefficients(axes[:2], axes, np.zeros(2), np.array([[1.0, 0.0, 0.1], [0.0, 1.0, 0.0]]))
     record = CalibrationRecord(SensorIdentity("recorded", "L-1", "m/s2", axes[:2]), leaning)
@@ -132,10 +128,10 @@ def test_the_header_takes_no_axis_below_the_horizon(tmp_path: Path) -> None:
     assert table[:, 1] == pytest.approx([-90.0, -90.0], abs=1e-3)
 
 
+@compiling
 @pytest.mark.parametrize("unit", ["count", "V"])
 def test_integers_compute_the_same(unit: str, tmp_path: Path) -> None:
     """180 readings at 40 temperatures, of a sensor that drifts, and of one that does not, in µV."""
-    require("gcc")
     record, k = drifting(), np.arange(180)
     if unit == "V":
         known = record.coefficients

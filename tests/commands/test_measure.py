@@ -4,6 +4,7 @@ import json
 import re
 from pathlib import Path
 
+import numpy as np
 import polars as pl
 import pytest
 import yaml
@@ -70,7 +71,17 @@ def test_the_first_command_of_the_readme_passes_its_verification(tmp_path: Path)
 def test_the_log_of_the_demo_lies_within_what_was_calibrated(tmp_path: Path) -> None:
     done = tiltcal("demo", "demo", cwd=tmp_path, code=0)
     log = pl.read_csv(tmp_path / "demo" / "log-tilt.csv")
-    assert (log["flag"] == 1).all()
+    assert (len(log), log["flag"].unique().to_list()) == (1500, [1])
+    share = np.arange(1500) / 1499
+    for axis, reach, turns in (("x", 40.0, 9), ("y", 35.0, 14)):
+        true = log[f"true_tilt_{axis}"].to_numpy()
+        assert true == pytest.approx(reach * np.sin(2.0 * np.pi * turns * share), abs=0.05)
+        before = np.degrees(np.arcsin((log[axis].to_numpy() - 1024.0) / 819.0)) - true
+        errors = (before, log[f"tilt_{axis}"].to_numpy() - true)
+        figures = (f"{np.sqrt(np.mean(one**2)):.3f}°    {np.abs(one).max():.3f}°" for one in errors)
+        assert f"   tilt {axis}   {'           '.join(figures)}\n" in done.stdout
+    assert log["time"].to_numpy() == pytest.approx(np.arange(1, 1501), rel=1e-3)
+    assert log["temperature"].to_numpy()[[-2, -1]] == pytest.approx([8.0, 8.0], abs=2.5)
     assert "a row outside the calibrated range gets 3" in done.stdout
     lines = lines_of(done)
     assert len(lines) == len(set(lines))

@@ -119,6 +119,30 @@ def test_a_journal_replaces_no_file_of_a_stranger(sessions: Path, tmp_path: Path
     assert (tmp_path / "S-1.yaml").read_text() == (tmp_path / "S-2.yaml").read_text() == strange
 
 
+def test_several_journals_are_replayed_and_compared_with_a_folder(sessions: Path, tmp_path: Path) -> None:
+    """A verification gives no file; a file that no journal gives is a difference, and so is one that is not there."""
+    for name in ("S-1.yaml", "S-1.journal.jsonl"):
+        shutil.copy(sessions / name, tmp_path)
+    shutil.copy(sessions / "v.jsonl", tmp_path / "v.journal.jsonl")
+    for more in ((), ("--golden", ".")):
+        done = tiltcal("replay", ".", *more, cwd=tmp_path, code=0)
+        compared = ", no calibration files differ from those in ." if more else ""
+        assert (done.stdout, done.stderr) == (f"2 journals are replayed{compared}\n", "")
+    assert tiltcal("replay", "S-1.journal.jsonl", cwd=tmp_path, code=0).stdout == (tmp_path / "S-1.yaml").read_text()
+    (tmp_path / "S-1.yaml").rename(tmp_path / "S-2.yaml")
+    (tmp_path / "notes.yaml").write_text("tiltcal: 1\nkind: bench\nsensors: []\n")
+    done = tiltcal("replay", "S-1.journal.jsonl", "v.journal.jsonl", "--golden", ".", cwd=tmp_path, code=1)
+    assert done.stdout == "2 journals are replayed, 2 calibration files differ from those in .\n"
+    assert done.stderr == (
+        "S-1.journal.jsonl does not give S-1.yaml: there is no such file\nno journal gives S-2.yaml\n"
+    )
+    (tmp_path / "torn.journal.jsonl").write_bytes((sessions / "S-1.journal.jsonl").read_bytes()[:5000])
+    done = tiltcal("replay", ".", "--golden", ".", cwd=tmp_path, code=2)
+    *said, last = done.stderr.splitlines()
+    assert (done.stdout, last) == ("", "tiltcal: 1 of 3 journals cannot be replayed")
+    assert [line.startswith("torn.journal.jsonl:") for line in said] == [True, False]
+
+
 def test_a_journal_replaces_its_calibration(sessions: Path, tmp_path: Path) -> None:
     shutil.copytree(sessions, tmp_path, dirs_exist_ok=True)
     own = (tmp_path / "S-1.yaml").read_bytes()

@@ -2,6 +2,7 @@
 
 import json
 import re
+from math import hypot
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,9 @@ from support.applied import PLAIN
 from support.command import tiltcal
 
 from tiltcal import __version__, open_calibrations, read
+from tiltcal.drivers.model import SelfTest
+from tiltcal.drivers.sca100t import Sca100t
+from tiltcal.library.measure import changes_in_words
 
 PROCEDURES = {path.stem: yaml.safe_load(path.read_text()) for path in sorted((ROOT / "procedures").glob("*.yaml"))}
 STILL = "  samples     100 per position, still for 2 s"
@@ -109,6 +113,28 @@ def test_devices_are_shown_and_listed() -> None:
         assert one["addresses"][-1] == "sim:"
 
 
+def test_a_probe_shows_answers_and_self_tests(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Passed at 95 % of 2047 count and more, with a return to within 5 %; exit code 1 where one is not."""
+    monkeypatch.setattr(Sca100t, "probe", lambda self: {"x": "1014 count", "temperature": "23.1 °C"})
+    words = ("probe", "sca100t-d02", "--address", "sim:", "--self-test")
+    for deflected, code, verdict in ((2000, 0, "passed"), (1900, 1, "FAILED")):
+        made = {"x": SelfTest(1014, deflected, 1013, 2047), "y": SelfTest(1002, 2047, 1003, 2047)}
+        monkeypatch.setattr(Sca100t, "self_test", lambda self, channel, made=made: made[channel])
+        assert tiltcal(*words, code=code).stdout.splitlines() == [
+            "sca100t-d02 answers at sim:",
+            "  x            1014 count",
+            "  temperature  23.1 °C",
+            f"  self-test x  {verdict}: 1014 count at rest, {deflected} while pushed, 1013 after the recovery",
+            "  self-test y  passed: 1002 count at rest, 2047 while pushed, 1003 after the recovery",
+        ]
+        told = json.loads(tiltcal(*words, "--json", code=code).stdout)
+        assert told["self_test"].pop("x") == {"passed": code == 0, "said": str(made["x"])}
+        answers = {"x": "1014 count", "temperature": "23.1 °C"}
+        self_test = {"y": {"passed": True, "said": str(made["y"])}}
+        assert told == {"model": "sca100t-d02", "address": "sim:", "answers": answers, "self_test": self_test}
+    assert "self-test" not in tiltcal("probe", "--sensor", "sca100t-d02", "--address", "sim:", code=0).stdout
+
+
 def test_a_stage_is_planned_by_its_channels() -> None:
     told = json.loads(tiltcal("plan", "rotation", "--sensor", "gradiometer", "--json", code=0).stdout)
     pairs = [{"pair": ["a1", "a2"], "orthogonal": "a4"}, {"pair": ["a3", "a4"], "orthogonal": "a1"}]
@@ -168,6 +194,15 @@ def test_a_program_is_shown_what_it_holds() -> None:
     assert pairs != plane
     assert plane == read(FIXTURES / "plane.yaml")
     assert plane != plane.with_mounting("roll=1")
+    assert plane != str(plane)
+    closed = read(FIXTURES / "temperature-sweep.yaml").record
+    first, last = (yaml.safe_load((FIXTURES / "temperature-sweep.yaml").read_text())["positions"][k] for k in (0, -1))
+    told = [
+        f"{axis} {(change := last['mean'][axis] - first['mean'][axis]):.2f} ± "
+        f"{2 * hypot(last['u'][axis], first['u'][axis]):.2f} count ({1000 * change / 819:+.2g} mg)"
+        for axis in "xy"
+    ]
+    assert changes_in_words(closed) == f"SIM-42: back in down-24 the readings have changed by {', '.join(told)}"
 
 
 HEADINGS = {

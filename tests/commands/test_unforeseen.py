@@ -4,7 +4,6 @@ import os
 import platform
 import re
 import shutil
-import subprocess
 from collections.abc import Callable
 from pathlib import Path
 from zlib import crc32
@@ -13,7 +12,7 @@ import numpy as np
 import polars as pl
 import pytest
 from support import FIXTURES
-from support.command import TILTCAL, tiltcal
+from support.command import tiltcal, tiltcal_process
 
 from tiltcal import __version__
 from tiltcal.cli.main import run
@@ -62,21 +61,6 @@ def test_a_single_time_of_a_pair_that_lies_far_away(tmp_path: Path) -> None:
     assert "a time lies before its first or after its last" in done.stderr
 
 
-def started(*arguments: str | Path, cwd: Path, **variables: str) -> subprocess.CompletedProcess[str]:
-    environment = {**os.environ, **variables}
-    if "TILTCAL_TRACEBACK" not in variables:
-        del environment["TILTCAL_TRACEBACK"]
-    return subprocess.run(
-        [*TILTCAL, *map(str, arguments)],
-        cwd=cwd,
-        env=environment,
-        capture_output=True,
-        text=True,
-        timeout=100,
-        check=False,
-    )
-
-
 def test_an_error_that_nothing_foresees_says_that_it_is_ours_and_what_to_send(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -101,42 +85,35 @@ def test_an_error_that_nothing_foresees_says_that_it_is_ours_and_what_to_send(
     assert tiltcal("--version").stdout == f"tiltcal, version {__version__}\n"
 
 
-def test_variables_of_the_environment_that_libraries_read(tmp_path: Path) -> None:
+def test_variables_of_the_environment_that_libraries_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "log.csv").write_text(LOG + '"2000-01-02T00:00:01Z",1024,1030,20\n')
-    variables = {"POLARS_MAX_THREADS": "0", "MPLBACKEND": "nonsense"}
-    applied = started("apply", FIXTURES / "mavs.yaml", "log.csv", "-o", "out.csv", cwd=tmp_path, **variables)
+    for name, value in (("POLARS_MAX_THREADS", "0"), ("MPLBACKEND", "nonsense")):
+        monkeypatch.setenv(name, value)
+    monkeypatch.delenv("TILTCAL_TRACEBACK")
+    applied = tiltcal_process("apply", FIXTURES / "mavs.yaml", "log.csv", "-o", "out.csv", cwd=tmp_path)
     assert (applied.returncode, "2 rows" in applied.stderr) == (0, True), applied.stderr
-    drawn = started("report", FIXTURES / "mavs.yaml", "log.csv", "-o", "r.html", cwd=tmp_path, **variables)
+    drawn = tiltcal_process("report", FIXTURES / "mavs.yaml", "log.csv", "-o", "r.html", cwd=tmp_path)
     assert (drawn.returncode, drawn.stderr) == (0, "wrote r.html\n")
 
 
 # One odd file in a folder of calibrations
 
-
-def not_utf8(path: Path) -> None:
-    path.write_bytes((FIXTURES / "mavs.yaml").read_bytes().replace(b"\npositions:", b"\n# \xff\npositions:"))
-
-
-def pipe(path: Path) -> None:
-    os.mkfifo(path)
-
-
-def holes(path: Path) -> None:
-    path.write_bytes((FIXTURES / "mavs.yaml").read_bytes())
-    os.truncate(path, 3_000_000_000)
-
-
-def device(path: Path) -> None:
-    path.symlink_to("/dev/zero")
+MAVS = (FIXTURES / "mavs.yaml").read_bytes()
+ODD: dict[str, Callable[[Path], object]] = {
+    "not UTF-8": lambda path: path.write_bytes(MAVS.replace(b"\npositions:", b"\n# \xff\npositions:")),
+    "a pipe": os.mkfifo,
+    "holes": lambda path: (path.write_bytes(MAVS), os.truncate(path, 3_000_000_000)),
+    "a device": lambda path: path.symlink_to("/dev/zero"),
+}
 
 
 @pytest.mark.skipif(not Path("/dev/zero").exists(), reason="the system has no /dev/zero")
-@pytest.mark.parametrize("odd", [not_utf8, pipe, holes, device])
-def test_an_odd_file_among_calibrations_is_named_and_left_out(odd: Callable[[Path], None], tmp_path: Path) -> None:
+@pytest.mark.parametrize("odd", ODD)
+def test_an_odd_file_among_calibrations_is_named_and_left_out(odd: str, tmp_path: Path) -> None:
     folder = tmp_path / "calibrations"
     folder.mkdir()
     (folder / "good.yaml").write_bytes((FIXTURES / "plane.yaml").read_bytes())
-    odd(folder / "odd.yaml")
+    ODD[odd](folder / "odd.yaml")
     (tmp_path / "log.csv").write_text(LOG)
     shown = tiltcal("history", folder, cwd=tmp_path, code=0)
     assert "good.yaml" in shown.stdout

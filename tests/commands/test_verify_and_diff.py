@@ -35,19 +35,14 @@ def verify(folder: Path, *options: str, seed: int = 1) -> tuple[int, dict]:
     return result.returncode, json.loads(result.stdout)
 
 
-def test_a_good_calibration_passes(folder: Path) -> None:
+def test_a_good_calibration_passes_and_another_part_fails(folder: Path) -> None:
     """The twin bends by up to 0.57° over its whole range; within 20° less than 0.15° of it is seen."""
     code, verdict = verify(folder, "--limit", "0.15")
-    assert code == 0
-    assert verdict["passed"] is True
+    assert (code, verdict["passed"], verdict["limit"]) == (0, True, 0.15)
     assert [row["position"] for row in verdict["positions"]] == ["level", "x-up", "x-down", "y-up", "y-down", "both-up"]
     assert verdict["positions"][1]["expected"] == pytest.approx({"x": 20.0, "y": 0.0}, abs=1e-9)
-
-
-def test_another_part_fails(folder: Path) -> None:
     code, verdict = verify(folder, seed=2)
-    assert code == 1
-    assert verdict["passed"] is False
+    assert (code, verdict["passed"]) == (1, False)
     assert verdict["worst"]["error"] > 0.5
 
 
@@ -83,22 +78,24 @@ def test_other_readings_than_the_calibration_s_are_refused(tmp_path: Path) -> No
 
 
 def test_options_beside_resume_are_remarked_and_change_nothing(folder: Path) -> None:
-    """The same command goes on with the session, and so does one with other settings."""
+    """The same command goes on with the session, and so does one with other settings; a program reads JSON."""
     begun = ("--address", "sim:?seed=1", "--samples", "5", "--jig", "0.2")
-    tiltcal("verify", "S-1.yaml", *begun, "--operator", "sim", "--journal", "o.jsonl", cwd=folder)
-    command = ("verify", "S-1.yaml", "--resume", "o.jsonl", "--operator", "sim", "--limit", "5")
-    plain = tiltcal(*command, cwd=folder)
-    stated = tiltcal(*command, "--samples", "7", "--procedure", "plane", cwd=folder)
-    assert (plain.returncode, stated.returncode, stated.stdout) == (0, 0, plain.stdout)
+    stopped = ("--operator", "json", "--journal", "o.jsonl", "--limit", "5", "--json")
+    left = tiltcal("verify", "S-1.yaml", *begun, *stopped, cwd=folder, said='{"answer": "ready"}\n' * 2, code=130)
+    go_on = ("verify", "S-1.yaml", "--limit", "5", "--json", "--resume", "o.jsonl")
+    assert left.stderr.endswith(f"continue with: tiltcal {' '.join(go_on)}\n")
+    ended = tiltcal(*go_on, cwd=folder, said='{"answer": "ready"}\n' * 4, code=0)
+    assert json.loads(ended.stdout.splitlines()[-1])["passed"] is True
+    plain = tiltcal(*go_on, "--operator", "sim", cwd=folder, code=0)
+    assert json.loads(plain.stdout) == json.loads(ended.stdout.splitlines()[-1])
+    stated = tiltcal(*go_on, "--operator", "sim", "--samples", "7", "--procedure", "plane", cwd=folder, code=0)
+    assert stated.stdout == plain.stdout
     assert "goes on as it began: --procedure, --samples beside --resume changes nothing" in stated.stderr
-
-
-def test_a_program_reads_json_to_the_last_line(folder: Path) -> None:
-    said = '{"answer": "ready"}\n' * 6
-    done = tiltcal(
-        "verify", "S-1.yaml", "--address", "sim:?seed=1", "--operator", "json", cwd=folder, said=said, code=0
-    )
-    assert json.loads(done.stdout.splitlines()[-1])["passed"] is True
+    assert "no --jig is stated" not in stated.stderr
+    words = ("verify", "S-1.yaml", "--address", "sim:?seed=1", "--operator", "sim")
+    assert tiltcal(*words, cwd=folder, code=0).stderr.endswith("no --jig is stated: the positions count as exact\n")
+    asked = tiltcal(*words[:-1], "json", cwd=folder, code=130).stderr
+    assert "tiltcal verify S-1.yaml --resume" in asked
 
 
 def differ(tmp_path: Path, offset: float, serial: str = "S-1") -> dict:
