@@ -13,6 +13,7 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+import yaml
 from scipy.spatial.transform import Rotation
 from support.command import tiltcal
 from support.moving_machines import (
@@ -26,15 +27,17 @@ from support.moving_machines import (
     serving_registers,
 )
 
-from tiltcal.bench.drives import TextDrive
+from tiltcal.bench.drives import CHUNK, ObjectDrive, TextDrive
 from tiltcal.bench.machines import Machines, angles_of, gravity_of
-from tiltcal.bench.messages import PositionQuestion, Review
-from tiltcal.bench.operators import VirtualJig
+from tiltcal.bench.messages import Accepted, Look, PositionQuestion, Question, Refused, Review, SessionEvent, Waiting
+from tiltcal.bench.operators import Operator, in_words
 from tiltcal.drivers import find_model
 from tiltcal.drivers.bus.clock import VirtualClock
-from tiltcal.errors import HardwareError
+from tiltcal.errors import BusError, HardwareError, InputError
 from tiltcal.files.calibration import read_calibration
-from tiltcal.files.procedure import find_procedure
+from tiltcal.files.document import document_of
+from tiltcal.files.machine import Machine, MachineObject
+from tiltcal.files.procedure import Procedure, procedure_in
 from tiltcal.journal.lines import ANSWER, Journal
 
 SENSORS = "".join(f'  - {{serial: A-{n}, model: adxl202-analog, address: "sim:?seed={n}"}}\n' for n in range(2))
@@ -118,50 +121,197 @@ def test_a_night_without_a_person_and_with_a_power_cut(tmp_path: Path) -> None:
         assert tiltcal("diff", f"whole-{number}.yaml", f"A-{number}.yaml", cwd=tmp_path).returncode == 0
 
 
-@pytest.mark.parametrize("name", ["table", "chamber"])
-def test_a_machine_that_has_moved_while_it_was_sampled_is_refused(name: str) -> None:
-    """By ten tolerances, between the answer and the review; the chamber's door lets its temperature fall."""
+class Person(Operator):
+    """Answers from a list, and keeps the questions and events that it gets; a look only once in a row."""
+
+    watches = True
+
+    def __init__(self, *said: object) -> None:
+        self.said, self.got = list(said), list[str]()
+
+    def ask(self, question: Question) -> object:
+        self.got.append(f"{question.kind} {question.subject}")
+        return self.said.pop(0)
+
+    def tell(self, event: SessionEvent) -> None:
+        words = f"waiting {event.seconds // 60} min" if isinstance(event, Waiting) else "".join(in_words(event)).strip()
+        if isinstance(event, Look):
+            words = re.sub(" is at .* on", " on", event.why)
+        self.got += [] if words in self.got[-1:] else [words]
+
+
+def table_and_chamber(
+    person: Person, table: Machine, positions: str, speed: float = 30.0
+) -> tuple[Machines, Any, Any, Any]:
+    """The operator of a virtual table and a virtual chamber, and these two, with the positions of a procedure."""
     clock, rng = VirtualClock(), np.random.default_rng(1)
-    table, chamber = VirtualTable(rng, by_clock(clock)), VirtualChamber(rng, by_clock(clock))
-    movers = movers_of({"table": (TABLE, table), "chamber": (CHAMBER, chamber)}, clock)
-    steps = find_procedure("mavs")
-    operator = Machines(VirtualJig(), movers, steps, clock, thermometer=True)
-    first = {**vars(steps.positions[0]), "heading": 0}
-    question = PositionQuestion(position=first.pop("name"), **first)
-    assert operator.ask(question) == {"answer": "ready", "tilt": {"x": 45.0, "y": 0.0}}
-    assert operator.ask(Review("x-45", {})) == {"answer": "accept"}
-    if name == "table":
-        table.axis = table.motor = table.target = table.axis - 0.5
-    else:
-        chamber.temperature -= 5.0
-    with pytest.raises(HardwareError, match=f"{name}: it was at .*, and is at "):
-        operator.ask(Review("x-45", {}))
+    moved, warmed = VirtualTable(rng, by_clock(clock)), VirtualChamber(rng, by_clock(clock))
+    moved.speed = speed
+    movers = movers_of({"table": (table, moved), "chamber": (CHAMBER, warmed)}, clock)
+    steps = procedure_in(document_of({**HEAD, "positions": yaml.safe_load(positions)}))
+    return Machines(person, movers, steps, clock, thermometer=False), moved, warmed, steps
 
 
-def test_what_a_machine_began_to_say_is_no_part_of_its_next_answer() -> None:
-    """A chamber that also talks unasked; the link of a serial port drops what arrived before a question."""
-    answers = iter((b"PV=10.0\nPV=1", b"PV=45.0\n"))
-    link = SimpleNamespace(exchange=lambda out, count: next(answers))
-    chamber = TextDrive(CHAMBER, cast(Any, link))
-    assert [chamber.read()[0]["temperature"] for _ in range(2)] == [10.0, 45.0]
+HEAD = {"tiltcal": 1, "kind": "procedure", "name": "two", "title": "Two", "determines": {"axes": ["x"], "drift": 1},
+        "reference": 20, "soak": {"seconds": 1, "drift": 1}}  # fmt: skip
+TWO = "[{name: a, tilt: {x: 30}, temperature: 24, prompt: p}, {name: b, tilt: {x: -30}, temperature: 20, prompt: p%s}]"
 
 
-def test_a_table_that_creeps_is_awaited() -> None:
-    """It tells no state and goes 0.04° from look to look: within its tolerance of 0.05° it still moves."""
+def asked(steps: Procedure, name: str) -> PositionQuestion:
+    (one,) = (position for position in steps.positions if position.name == name)
+    return PositionQuestion(
+        position=name, tilt=one.tilt, gravity=one.gravity, heading=one.heading or 0, temperature=one.temperature,
+        stage=one.stage, prompt="",
+    )  # fmt: skip
 
-    class Nobody(VirtualJig):
-        def ask(self, question: object) -> object:
-            raise AssertionError(question)
 
-    clock = VirtualClock()
-    table = VirtualTable(np.random.default_rng(1), by_clock(clock))
-    table.speed = 0.2
-    movers = movers_of({"table": (TABLE.replaced(done=None), table)}, clock)
-    operator = Machines(Nobody(), movers, find_procedure("plane"), clock, thermometer=True)
-    up = gravity_of({"x": 2.0, "y": 0.0}, "x")
-    asked = {"position": "x", "prompt": "", "gravity": up, "tilt": {"x": 2.0}, "heading": 0, "temperature": None}
-    assert operator.ask(PositionQuestion(**asked, stage=None)) == {"answer": "ready", "tilt": {"x": 2.0, "y": 0.0}}
-    assert operator.ask(Review("x", {})) == {"answer": "accept"}  # what no person has set, none reviews
+def test_what_machines_set_is_answered_and_what_moves_afterwards_is_refused() -> None:
+    """Nobody is asked where they set all; a table that tells no state and creeps within its tolerance is awaited."""
+    operator, table, chamber, steps = table_and_chamber(
+        person := Person(), TABLE.replaced(done=None, timeout=900.0), TWO % "", 0.2
+    )
+    operator.probe()
+    for name, tilt, warmth in (("a", 30.0, 24.0), ("b", -30.0, 20.0)):
+        said: Any = operator.ask(asked(steps, name))
+        assert said == {"answer": "ready", "tilt": {"x": tilt, "y": 0.0}, "temperature": pytest.approx(warmth, abs=0.5)}
+        assert operator.most_attempts == 10
+        assert operator.ask(Review(name, {})) == {"answer": "accept"}
+        assert operator.ask(asked(steps, name)) == said  # it is there
+
+    def on_the_way(machine: str, goal: str, minutes: int) -> list[str]:
+        way = f"the {machine} on the way to {goal}"
+        return [way, *(line for minute in range(1, minutes + 1) for line in (f"waiting {minute} min", way))]
+
+    # 0.2° a second from 0° to 28° and from 30° to -32°; a third of a degree each ten seconds to within 0.5 °C.
+    assert person.got == [
+        *on_the_way("table", "x 28°, y -2°", 2), *on_the_way("table", "x 30°, y 0°", 0),
+        *on_the_way("chamber", "24 °C", 0), "a: x 30°, y 0°, 23.67 °C",
+        *on_the_way("table", "x -32°, y -2°", 5), *on_the_way("table", "x -30°, y 0°", 0),
+        *on_the_way("chamber", "20 °C", 1), "b: x -30°, y 0°, 20.33 °C",
+    ]  # fmt: skip
+    table.axis = table.motor = table.target = table.axis - 0.5
+    with pytest.raises(HardwareError, match=r"^table: it was at x -30°, y 0°, and is at x -30.5°, y -0.5°$"):
+        operator.ask(Review("b", {}))
+    chamber.temperature -= 5.0  # its door
+    with pytest.raises(HardwareError, match=r"^chamber: it was at 20\.\d+ °C, and is at 15\.\d+ °C$"):
+        operator.ask(Review("b", {}))
+
+
+def test_what_no_machine_sets_is_asked_for_where_it_changes_or_was_wrong() -> None:
+    """A table of one axis: heading and the other tilt are a person's, and are asked for again after all but ready."""
+    ready, accept = {"answer": "ready"}, {"answer": "accept"}
+    person = Person("nonsense", {"answer": "redo"}, {**ready, "position": "b"}, {**ready, "tilt": {"y": 0.2}}, accept,
+                    ready, {"answer": "back"}, ready, ready, accept, ready, accept)  # fmt: skip
+    one_axis = TABLE.replaced(limits={"x": (-95, 95)}, pattern="MPos:(?P<x>[-0-9.]+)", set=("G0 X{x:.3f} Y0",))
+    operator, _, _, steps = table_and_chamber(person, one_axis, TWO % ", heading: 90")
+    a, b, review = asked(steps, "a"), asked(steps, "b"), Review("a", {})
+    set_x: Any = {"tilt": {"x": 30.0}, "temperature": pytest.approx(24.0, abs=0.5)}
+    assert [operator.ask(a), operator.ask(a)] == ["nonsense", {"answer": "redo"}]
+    with pytest.raises(InputError, match="machines take the positions in the procedure's order: set this one"):
+        operator.ask(a)
+    assert operator.ask(a) == {**ready, **set_x, "tilt": {"x": 30.0, "y": 0.2}}
+    assert operator.most_attempts is None
+    assert operator.ask(review) == accept
+    assert operator.ask(a) == {**ready, **set_x}  # it was set by hand and accepted
+    operator.tell(Accepted("a", {}, {}, 1))
+    assert operator.ask(b)["answer"] == "ready"  # type: ignore[index]
+    assert operator.ask(review) == {"answer": "back"}
+    assert operator.ask(b)["answer"] == "ready"  # type: ignore[index]
+    operator.tell(Refused("b", "askew"))
+    assert [operator.ask(b)["answer"], operator.ask(review)] == ["ready", accept]  # type: ignore[index]
+    assert (operator.to_take_again(["b"], ["a", "b"]), operator.to_take_again(["b"], ["a", "b"])) == (
+        ["a", "b"][1:],
+        ["b"],
+    )
+    assert operator.ask(b)["answer"] == "ready"  # type: ignore[index]
+    assert operator.ask(review) == accept
+    asks = [one for one in person.got if one.startswith(("position", "review"))]
+    assert asks == [*["position a"] * 4, "review a", *["position b", "review a", *["position b"] * 2, "review a"],
+                    "position b", "review a"]  # fmt: skip
+
+
+class Lines:
+    """A link that keeps what is sent, and answers one piece after the other."""
+
+    letter = "r"
+
+    def __init__(self, *pieces: bytes) -> None:
+        self.sent, self._pieces = list[tuple[bytes, int]](), iter(pieces)
+
+    def exchange(self, out: bytes, count: int = 0) -> bytes:
+        self.sent.append((out, count))
+        return next(self._pieces, b"x\n" * 600) if count else b""
+
+
+def test_what_is_sent_to_a_table_and_what_of_its_lines_is_an_answer() -> None:
+    """What a machine began to say is no part of its next answer: the link drops what arrived before a question."""
+    stated = TABLE.replaced(greeting="^Grbl", start=("$H", "G21"), line_end="crlf")
+    link = Lines(b"\r\nGr", b"bl 1.1\r\n", b"ok\r\n", b"o", b"k\r\nok",
+                 b"junk\r\nok\r\n",
+                 b"<Run|MPos:1.000,-2.5>\r\n<Idle|MPos:1", b"<Idle|MPos:9,9>\r\n<Idle|MPos:1.5,-2.5>\r\n",
+                 b"<Idle|MPos:1-,2>\n", b"error:9\r\n")  # fmt: skip
+    table = TextDrive(stated, cast(Any, link))
+    table.set({"x": 1.0, "y": -2.5})
+    assert [table.read(), table.read()] == [({"x": 1.0, "y": -2.5}, False), ({"x": 1.5, "y": -2.5}, True)]
+    with pytest.raises(HardwareError, match=r"1-.*, in '<Idle\|MPos:1-,2>'"):
+        table.read()
+    with pytest.raises(HardwareError, match=r"^it answers 'error:9'$"):
+        table.set({"x": 1.0, "y": 2.5})
+    with pytest.raises(BusError, match=r"^1000 lines have arrived, and none of them has 'MPos"):
+        table.read()
+    table.stop()
+    set_, asks = [(b"G0 X1.000 Y-2.500\r\n", CHUNK)], [(b"?", CHUNK)]
+    assert link.sent == [*[(b"", CHUNK)] * 2, (b"$H\r\n", CHUNK), (b"G21\r\n", CHUNK), (b"", CHUNK), *set_, *asks * 3,
+                         (b"G0 X1.000 Y2.500\r\n", CHUNK), *asks, (b"", CHUNK), (b"!\r\n", 0)]  # fmt: skip
+    silent = TextDrive(
+        stated.replaced(greeting=None, start=(), accepted=None, stop=None, read_alone=False), link := Lines()
+    )
+    silent.set({"x": 1.0, "y": -2.5})
+    silent.stop()
+    with pytest.raises(BusError):
+        silent.read()
+    assert link.sent == [(set_[0][0], 0), (b"?\r\n", CHUNK), (b"", CHUNK)]
+
+
+@pytest.mark.parametrize(
+    ("readings", "reading", "found"),
+    [
+        ({"other": {"value": 1.5}}, None, 1.5),
+        ({"axis": {"value": "2.5"}, "other": {"value": 1.5}}, None, 2.5),
+        ({"axis": {"value": 2.5}, "other": {"value": 1.5}}, "other", 1.5),
+        ({"other": {"value": 1.5}, "more": {"value": 2}}, None, "x reads .*: no value of 'axis'; say reading: NAME"),
+        ({}, None, "x reads {}: no value of 'axis'"),
+        ({"axis": {"value": "far"}}, None, "no value of 'axis'"),
+        (None, None, r"x reads None: no value"),
+    ],
+)
+def test_what_an_object_tells_of_where_it_is(
+    readings: Any, reading: str | None, found: float | str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And whether it moves: until all that was set is done; without ``done`` at once, and stopped where it can be."""
+    status, stopped = SimpleNamespace(done=False), list[str]()
+    axis = SimpleNamespace(
+        name="axis", read=lambda: readings, set=lambda value: status, stop=lambda: stopped.append("x")
+    )
+    monkeypatch.setitem(sys.modules, "rig", SimpleNamespace(axis=lambda: axis))  # type: ignore[arg-type]
+    objects = {"x": MachineObject(address="python:rig:axis", reading=reading)}
+    drive = ObjectDrive(Machine(kind="object", limits={"x": (-9, 9)}, tolerance=1.0, objects=objects))
+    if isinstance(found, str):
+        with pytest.raises(HardwareError, match=found):
+            drive.read()
+        return
+    assert drive.read() == ({"x": found}, True)
+    drive.set({"x": 3.0})
+    assert drive.read() == ({"x": found}, False)
+    status.done = True
+    assert drive.read() == ({"x": found}, True)
+    drive.stop()
+    del axis.stop
+    drive.stop()
+    assert stopped == ["x"]
+    axis.set = SimpleNamespace
+    with pytest.raises(HardwareError, match=r"set of x failed \(TypeError: "):
+        drive.set({"x": 3.0})
 
 
 SENSOR = '  - {serial: S-1, model: sca100t-d02, address: "sim:?seed=1"}\n'
@@ -219,8 +369,9 @@ def test_a_dry_run_reaches_every_position_without_a_sensor(tmp_path: Path, monke
     )
     monkeypatch.setattr("tiltcal.bench.dry_run.session_clock", lambda began, virtual: VirtualClock())
     with serving(table.line) as place:
-        bench = BENCH.split("chamber:")[0].format(table=place).replace("thermometer: {model: thermistor, ", "#")
-        (tmp_path / "bench.yaml").write_text(f"{bench}sensors:\n{sensor}")
+        nothing_to_do = "modbus:tcp://127.0.0.1:9"
+        bench = BENCH.format(table=place, chamber=nothing_to_do, sensors=sensor).replace("thermometer: {", "#")
+        (tmp_path / "bench.yaml").write_text(bench)
         done = tiltcal("measure", "plane", "--bench", "bench.yaml", "--dry-run", cwd=tmp_path)
         assert done.returncode == 0, done.stderr
         found = re.findall(r"(\d)/4  (\S+) +x (\S+)°, y (\S+)°   (\d+) s\n", done.stdout)
@@ -232,7 +383,7 @@ def test_a_dry_run_reaches_every_position_without_a_sensor(tmp_path: Path, monke
         assert re.search(r"went from -30\S* to (30|29.9)\S* in x; its limits are -95 and 95\n", done.stdout)
         assert list(tmp_path.iterdir()) == [tmp_path / "bench.yaml"]
         table.speed = 0.0
-        (tmp_path / "bench.yaml").write_text(f"{bench}sensors:\n{sensor}".replace("timeout: 30", "timeout: 1"))
+        (tmp_path / "bench.yaml").write_text(bench.replace("timeout: 30", "timeout: 1"))
         stalled = tiltcal("measure", "plane", "--bench", "bench.yaml", "--dry-run", cwd=tmp_path)
     assert stalled.returncode == 3
     assert "x-tilt1: table: it is at" in stalled.stderr
@@ -270,51 +421,6 @@ def test_an_object_with_set_and_read_moves_the_table(tmp_path: Path, monkeypatch
     # The tilt of the axis that is carried is asin(cos 30.02° sin 0.02°), 0.017°.
     expected = [(30.02, 0.017), (-29.98, 0.017), (0.02, 30.02), (0.02, -29.98)]
     assert told == [pytest.approx(pair, abs=1e-3) for pair in expected]
-
-
-ONE_AXIS = """\
-table:
-  kind: text
-  address: {place}
-  limits: {{x: [-90, 90]}}
-  tolerance: 0.05
-  approach: 2
-  set: ["G0 X{{x:.3f}} Y0"]
-  read: "?"
-  accepted: ok
-  pattern: MPos:(?P<x>[-0-9.]+)
-chamber:
-  kind: modbus
-  address: modbus:tcp://127.0.0.1:9
-  limits: {{temperature: [0, 50]}}
-  tolerance: 1
-  registers: {{temperature: {{set: "1", read: "2"}}}}
-"""
-
-
-def test_what_no_machine_does_is_left_to_the_operator(tmp_path: Path) -> None:
-    """A table of one axis: the other is asked for where it changes. A chamber that has nothing to do is left alone."""
-    table = VirtualTable(np.random.default_rng(1), lambda: 0.1)
-    said = '{"answer": "ready"}\n{"answer": "ready", "tilt": {"y": 30.02}}\n{"answer": "ready"}\n'
-    with serving(table.line) as place:
-        asked = measured(tmp_path, "plane", ONE_AXIS.format(place=place), said=said)
-    assert asked == ["x-tilt1", "y-tilt1", "y-tilt2"]
-    assert [one["tilt"] for one in answers(tmp_path)] == [{"x": 30.0}, {"x": -30.0}, {"x": 0.0, "y": 30.02}, {"x": 0.0}]
-
-
-def test_a_chamber_alone_asks_for_the_attitude_once(tmp_path: Path) -> None:
-    """Its temperature is answered where no device of the bench is a thermometer."""
-    chamber = VirtualChamber(np.random.default_rng(1), lambda: 5.0)
-    stated = 'limits: {temperature: [-40, 90]}, tolerance: 0.5, set: ["SP {temperature:.1f}"], read: PV'
-    pattern = "'PV=(?P<temperature>[-0-9.]+)'"
-    with serving(chamber.line) as place:
-        machines = f"chamber: {{kind: text, address: '{place}', {stated}, pattern: {pattern}}}\n"
-        sensor = SENSOR.replace("sca100t-d02", "adxl202-analog")
-        asked = measured(tmp_path, "two-temperature", machines, said='{"answer": "ready"}\n', sensor=sensor)
-    positions = find_procedure("two-temperature").positions
-    assert asked == [positions[0].name]
-    wanted = [position.temperature for position in positions]
-    assert [one["temperature"] for one in answers(tmp_path)] == pytest.approx(wanted, abs=0.5)
 
 
 def test_a_position_beyond_the_limits_is_refused_before_anything_is_opened(tmp_path: Path) -> None:

@@ -87,7 +87,7 @@ def mounted(folder: Path, facts: dict[str, str], procedure: str, mounting: str) 
     """Calibrate a part straight on the jig, then mount it and find how."""
     (folder / "straight.yaml").write_text(TWIN.format(**facts, mounting="{}"))
     (folder / "mounted.yaml").write_text(TWIN.format(**facts, mounting=mounting))
-    options = ["--sensor", facts["model"], "--serial", "M-1", "--operator", "sim", "--samples", "60"]
+    options = ["--sensor", facts["model"], "--serial", "M-1", "--operator", "sim", "--samples", "60", "--settle", "0.2"]
     first = tiltcal(
         "measure", procedure, *options, "--address", "sim:?twin=straight.yaml", "-o", "M-1.yaml", cwd=folder
     )
@@ -101,7 +101,7 @@ def mounted(folder: Path, facts: dict[str, str], procedure: str, mounting: str) 
     return folder / "M-1-mounted.yaml"
 
 
-@pytest.mark.parametrize("angles", [(10.0, -20.0, 30.0), (170.0, 40.0, -120.0), (-90.0, 0.0, 0.0)])
+@pytest.mark.parametrize("angles", [(170.0, 40.0, -120.0), (-90.0, 0.0, 0.0)])
 def test_a_three_axis_sensor_in_any_mounting(angles: tuple[float, float, float], tmp_path: Path) -> None:
     path = mounted(tmp_path, SCA3000, "six-face", "{{roll: {}, pitch: {}, yaw: {}}}".format(*angles))
     found = read_calibration(path)

@@ -40,31 +40,6 @@ def measured(folder: Path, *options: str, procedure: str = "plane") -> dict[str,
     return {"said": result.stderr}
 
 
-def test_six_sensors_twelve_axes_one_thermometer(tmp_path: Path) -> None:
-    """The paper's board: six calibration files from one journal that replays to the byte; the how-to page has mavs."""
-    models = ["adxl202", "adxl202e", "adxl202", "adxl202-analog", "sca100t-d02", "sca100t-d02-analog"]
-    bench(
-        tmp_path,
-        *(f'serial: A-{n}, model: {model}, address: "sim:?seed={n}"' for n, model in enumerate(models)),
-        more='thermometer: {model: thermistor, address: "sim:"}\n',
-    )
-    measured(tmp_path)
-    files = sorted(path.name for path in tmp_path.glob("A-*.yaml"))
-    assert files == [f"A-{n}.yaml" for n in range(6)]
-    calibration = read_calibration(tmp_path / "A-0.yaml")
-    assert calibration.provenance.operator == "A. Technician"
-    assert calibration.provenance.bench.thermometer == "sim:"
-    temperatures = {path.name: read_calibration(path).positions[3].temperature for path in tmp_path.glob("A-*.yaml")}
-    assert len(set(temperatures.values())) == 1, "one thermometer stands for all"
-    journals = list(tmp_path.glob("*.journal.jsonl"))
-    assert [path.name for path in journals] == ["bench.journal.jsonl"]
-    (tmp_path / "again").mkdir()
-    replayed = tiltcal("replay", "bench.journal.jsonl", "-o", "again", cwd=tmp_path)
-    assert replayed.returncode == 0, replayed.stderr
-    for name in files:
-        assert (tmp_path / "again" / name).read_bytes() == (tmp_path / name).read_bytes()
-
-
 def test_a_sensor_that_sits_askew_is_calibrated_in_its_own_frame(tmp_path: Path) -> None:
     """The same part twice, straight and turned by a quarter and over: the same coefficients."""
     address = twin(tmp_path, 3)

@@ -11,14 +11,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pexpect
 import pytest
 from scipy.spatial.transform import Rotation
 from support.browser import CHROMIUM, browser
 from support.command import tiltcal
 from support.json_program import GONE, Event, ProgramSession, lead, ready
 from support.moving_machines import VirtualTable, serving
-from support.warm_start import WarmStart
 from support.web_client import session
 
 from tiltcal.bench.session import Session
@@ -118,47 +116,18 @@ def test_a_swapped_pair_of_a_sensor_whose_readings_nobody_predicts(
     assert tiltcal("check", "S-1.yaml", cwd=tmp_path).returncode == 0
 
 
-def test_killed_while_it_is_taken_again(warm: WarmStart, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The program dies after one face of two; a person goes on at the terminal, and changes his mind there."""
+def test_killed_while_it_is_taken_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The program dies after one face of two; another goes on with the other one, and takes two more again."""
     with monkeypatch.context() as first:
         really(first, askew_once)
         answers = iter([*7 * [{"answer": "ready"}], GONE])
         led = lead(*BEGIN, cwd=tmp_path, answer=lambda message: next(answers) if "ask" in message else None)
     assert led.exit_code == 130
-    terminal = pexpect.spawn(
-        warm.program[0], [*warm.program[1:], *RESUME, "--operator", "terminal"], cwd=str(tmp_path), encoding="utf-8",
-        timeout=20, dimensions=(40, 120),
-    )  # fmt: skip
-    terminal.expect("kept from before: x-up, x-down, z-up, z-down, y-up")
-    terminal.expect("4/6  y-down")
-    terminal.expect("live")
-    terminal.send("\r")
-    terminal.expect("Enter.* accept")
-    terminal.send("p")
-    terminal.expect("to be taken next")
-    terminal.sendline("x-up")  # the reading of y-down is still under review
-    terminal.expect("Enter.* accept")
-    terminal.send("\r")
-    terminal.expect("accepted y-down")
-    accept(terminal, "1/6  x-up")
-    terminal.expect("Everything is measured")
-    terminal.send("b")
-    accept(terminal, "1/6  x-up")
-    terminal.expect("Everything is measured")
-    terminal.send("p")
-    terminal.expect("to be taken next")
-    terminal.sendline("x-sideways")
-    terminal.expect("'x-sideways' is no position")
-    terminal.expect("Everything is measured")
-    terminal.send("p")
-    terminal.expect("to be taken next")
-    terminal.sendline("x-down")
-    accept(terminal, "2/6  x-down")
-    terminal.expect("Everything is measured")
-    terminal.send("\r")
-    terminal.expect(pexpect.EOF)
-    terminal.close()
-    assert terminal.exitstatus == 0
+    go, again = {"answer": "ready"}, [{"answer": "again", "position": name} for name in ("x-up", "x-down")]
+    said = iter([again[0], go, {"answer": "back"}, go, again[1], go, go])
+    led = lead(*RESUME, cwd=tmp_path, answer=lambda message: next(said) if "ask" in message else None)
+    assert led.exit_code == 0, led.errors
+    assert [one["position"] for one in led.asks] == ["y-down", "x-up", "y-down", "x-up", "y-down", "x-down", "y-down"]
     require_right(tmp_path, {**dict.fromkeys(WRONG, 2), "x-up": 2, "x-down": 2})
 
 
@@ -176,15 +145,6 @@ def test_the_person_chooses_the_order_and_the_reading_does_not(tmp_path: Path, m
     ]
     assert taken(led) == ["x-down", "z-up", "x-up", "y-up", "y-down", "z-down"]
     require_right(tmp_path, {})
-
-
-def accept(terminal: pexpect.spawn, position: str) -> None:
-    terminal.expect(position)
-    terminal.expect("live")
-    terminal.send("\r")
-    terminal.expect("Enter.* accept")
-    terminal.send("\r")
-    terminal.expect("accepted")
 
 
 def test_three_takes_without_agreement_stop_and_keep(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

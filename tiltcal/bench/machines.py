@@ -268,14 +268,12 @@ class Machines:
         self.most_attempts = self._person.most_attempts if self._asked_by_hand else REFUSALS
         if not self._asked_by_hand:
             return {"answer": "ready", **self._as_set(question, reached)}
-        said = self._person.ask(question)
-        ready = isinstance(said, Mapping) and said.get("answer") == "ready"
-        self._by_hand = left if ready else None
-        if not isinstance(said, Mapping) or not ready:
+        self._by_hand, said = None, self._person.ask(question)
+        if not isinstance(said, Mapping) or said.get("answer") != "ready":
             return said
         if said.get("position", question.position) != question.position:
-            self._by_hand = None
             raise InputError("machines take the positions in the procedure's order: set this one")
+        self._by_hand = left
         # Whoever sets something by hand may have opened the door of the chamber.
         answer = self._as_set(question, self._moved(targets, question.position))
         if "tilt" in answer and "tilt" in said:

@@ -75,6 +75,9 @@ def test_more_than_a_twentieth_and_more_than_one_far_off_are_a_fault(count: int,
 
 
 LEVEL, UP, DOWN = (0.0, 0.0, 1.0), (0.5, 0.0, 0.75**0.5), (-0.5, 0.0, 0.75**0.5)
+METRIC = {"model": "serial-columns?unit=m/s2", "scatter": 0.01}
+VOLT = {"model": "serial-columns?unit=V&sensitivity=2", "scatter": 0.001}
+OFF = {"offset": 2.5, "scatter": 0.001}
 LOOKS = "this looks like x-tilt2: is the sensor turned round? "
 STUCK = "x of S is stuck: all 20 samples read 614.5 count, and those of the positions before scatter by 1.98; see that"
 TURNED = (
@@ -82,16 +85,22 @@ TURNED = (
 )
 
 
+def sensor(serial: str, model: str) -> BenchSensor:
+    """A sensor by its model, or by the options of an address of serial-columns."""
+    name, _, options = model.partition("?")
+    return BenchSensor(serial, name, f"sim:columns=x,y&{options}" if options else "sim:")
+
+
 def taken(
     procedure: str, model: str, name: str, *, seen: tuple[float, float, float] | None = None, scatter: float = 2.0,
-    celsius: float | None = 24.0, typed: float | None = None, serials: str = "S",
+    celsius: float | None = 24.0, typed: float | None = None, serials: str = "S", offset: float = 0.0,
 ) -> PositionResult:  # fmt: skip
     """A position as a sensor of the data sheet reads a direction, which flickers by so many counts about it."""
-    sensors = [BenchSensor(serial, model, "sim:") for serial in serials]
+    sensors = [sensor(serial, model) for serial in serials]
     asked = next(one for one in find_procedure(procedure).positions if one.name == name)
     part, up = sensors[0].wired, seen or asked.gravity
     rows = [
-        tuple(part.offset + part.sensitivity * up["xyz".index(c)] + scatter * (-1) ** n for c in part.channels)
+        tuple(offset + part.offset + part.sensitivity * up["xyz".index(c)] + scatter * (-1) ** n for c in part.channels)
         for n in range(20)
     ]
     read = [Sample(dict.fromkeys(serials, Reading(row, celsius))) for row in rows]
@@ -127,15 +136,24 @@ def taken(
          f"x of S scatters by 144 count within a position, and differs by 819 count from x-tilt1: {TURNED}"),
         ("plane", [("x-tilt1", {"scatter": 130.0})], "x-tilt2", {}, None),
         ("two-temperature", [("level-warm", {"scatter": 130.0})], "level-cold", {"celsius": 5.0}, None),
-        ("free", [("x-up", {})], "y-up", {"seen": (1.0, 0.08, 0.0)}, "this is the attitude of x-up again: hold the"),
-        ("free", [("x-up", {})], "x-up", {"seen": (0.0, 0.0, -1.0)}, None),
+        ("free", [("x-up", {})], "y-up", {"model": "sca3000-d01", "seen": (1.0, 0.08, 0.0)},
+         "this is the attitude of x-up again: hold the sensor in a different attitude"),
+        ("free", [("x-up", {})], "x-up", {"model": "sca3000-d01", "seen": (0.0, 0.0, -1.0)}, None),
+        ("plane", [], "x-tilt1", {**METRIC, "seen": DOWN},
+         f"{LOOKS}If the +X side really points down now, choose x-tilt2"),
+        ("plane", [], "x-tilt1", {**VOLT, "seen": DOWN}, None),
+        ("plane", [("x-tilt1", {**OFF, "seen": DOWN})], "x-tilt2", {**VOLT, **OFF, "seen": UP},
+         "no position of this procedure reads like this (x reads 3.5 where about -0.5 is expected, y reads 2.5 where"),
+        ("plane", [("x-tilt1", OFF), ("x-tilt2", OFF)], "y-tilt1", {**VOLT, **OFF, "seen": (0.0, -0.5, 0.75**0.5)},
+         "this looks like y-tilt2: is the sensor turned round, or was a position before it wrong (go back)?"),
+        ("plane", [("x-tilt1", OFF), ("x-tilt2", OFF)], "y-tilt1", {**VOLT, **OFF}, None),
     ],
 )  # fmt: skip
 def test_what_the_reading_of_a_position_is_refused_for(
     procedure: str, before: list[tuple[str, dict[str, Any]]], name: str, how: dict[str, Any], why: str | None
 ) -> None:
-    model, serials = "sca3000-d01" if procedure == "free" else "sca100t-d02", how.get("serials", "S")
-    bench = BenchFile(tuple(BenchSensor(serial, model, "sim:") for serial in serials))
+    model, serials = how.pop("model", "sca100t-d02"), how.get("serials", "S")
+    bench = BenchFile(tuple(sensor(serial, model) for serial in serials))
     steps = find_procedure(procedure)
     setup = new_setup(steps, bench, [Path(f"{serial}.yaml") for serial in serials], Path("j"), operator="sim")
     accepted = [taken(procedure, model, one, **{"serials": serials, **other}) for one, other in before]
