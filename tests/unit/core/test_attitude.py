@@ -7,9 +7,20 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
 
-from tiltcal.core.attitude import mounting_angles, mounting_matrix, orientation
-from tiltcal.core.model import Mounting
+from tiltcal.core.attitude import (
+    angle_derivatives,
+    gravity_from_tilt,
+    is_locked,
+    mounting_angles,
+    mounting_matrix,
+    orientation,
+    solve_mounting,
+    tilt_from_gravity,
+)
+from tiltcal.core.model import Array, Mounting
 from tiltcal.errors import EstimateError, InputError
 
 turns = st.floats(-pi, pi)
@@ -45,6 +56,48 @@ def test_gimbal_lock_is_stated_and_all_of_the_turn_is_roll(pitch: float, roll_al
     assert degrees(mounting.pitch) == pytest.approx(pitch)
     assert degrees(mounting.roll) == pytest.approx(roll_alone)
     assert mounting.yaw == 0.0
+
+
+@pytest.mark.parametrize("stated", [True, False])
+def test_a_mounting_is_the_weighted_fit_of_scipy(stated: bool) -> None:
+    """With its covariance, misses and chi-square; its angles turn as small turns about the application's axes do."""
+    rng, sigma = np.random.default_rng(10), np.radians([0.1, 0.2, 0.4, 0.2, 0.1])
+    known = Rotation.random(5, rng).apply([0.0, 0.0, 1.0])
+    truth = mounting_matrix(Mounting(0.3, -0.9, 2.0))
+    read = Rotation.from_rotvec(sigma[:, None] * rng.standard_normal((5, 3))).apply(known) @ truth
+    each = sigma if stated else np.ones(5)
+
+    def missed(turn: Array) -> Array:
+        return np.asarray((Rotation.from_rotvec(turn).apply(read @ truth.T) - known) / each[:, None]).ravel()
+
+    peer = least_squares(missed, np.zeros(3), xtol=1e-15, ftol=1e-15, gtol=1e-15)
+    found, square = solve_mounting(read, known, sigma if stated else None), 2.0 * peer.cost
+    turned = Rotation.from_rotvec(peer.x).as_matrix() @ truth
+    np.testing.assert_allclose(found.matrix, turned, atol=1e-6)
+    covariance = np.linalg.inv(peer.jac.T @ peer.jac) * (1.0 if stated else square / 7.0)
+    np.testing.assert_allclose(found.covariance, covariance, rtol=0.02, atol=1e-8)
+    angles = np.arccos(np.clip(np.sum(read @ turned.T * known, axis=1), -1.0, 1.0))
+    np.testing.assert_allclose(found.residuals, angles, rtol=1e-4)
+    assert (found.chi_square, found.dof, found.stated) == (pytest.approx(square, rel=1e-4), 7, stated)
+    for axis, slope in zip(np.eye(3), angle_derivatives(turned).T, strict=True):
+        moved = [mounting_angles(Rotation.from_rotvec(h * axis).as_matrix() @ turned)[0] for h in (1e-4, -1e-4)]
+        ahead, behind = (np.array([one.roll, one.pitch, one.yaw]) for one in moved)
+        assert slope == pytest.approx((ahead - behind) / 2e-4, abs=1e-5)
+
+
+@pytest.mark.parametrize("pitch", [pi / 2, -pi / 2])
+def test_roll_and_yaw_are_not_separated_within_three_uncertainties_of_the_vertical(pitch: float) -> None:
+    """Errors in two directions leave 1 % beyond three standard uncertainties; 15 % are beyond 1.96."""
+    assert [is_locked(pitch + side * off * 0.01, 0.01) for side in (1, -1) for off in (2.99, 3.01)] == 2 * [True, False]
+
+
+def test_tilts_are_the_sines_of_up_and_no_direction_moves_without_them() -> None:
+    for x, y in ((0.0, 0.0), (30.0, -45.0), (-90.0, 0.0), (60.0, 30.0)):
+        up = gravity_from_tilt({"x": x, "y": y})
+        expected = (sin(radians(x)), sin(radians(y)))
+        assert up == pytest.approx((*expected, np.sqrt(max(1.0 - expected[0] ** 2 - expected[1] ** 2, 0.0))), abs=1e-7)
+        assert tilt_from_gravity([3.0 * one for one in up]) == pytest.approx({"x": x, "y": y})
+    assert gravity_from_tilt({"y": 30.0})[:2] == (0.0, 0.5)
 
 
 @pytest.mark.parametrize(

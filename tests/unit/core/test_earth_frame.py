@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from math import cos, nan, radians, sin
 from typing import Any
@@ -10,15 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from support.uncertain_readings import moved, uncertain_readings
 
-from tiltcal.core.angle_uncertainty import CompensationWithUncertainty
 from tiltcal.core.attitude import mounting_matrix
 from tiltcal.core.compensation import Compensation
 from tiltcal.core.earth_frame import EarthFrameCompensation, FieldLength
 from tiltcal.core.flags import FAIL, GRAVITY_LENGTH, MISSING, NO_DIRECTION, NOT_A_NUMBER, PASS, SUSPECT
 from tiltcal.core.model import Array, Coefficients, Mounting
-from tiltcal.core.uncertain import TURN, Uncertain
 from tiltcal.errors import EstimateError
 from tiltcal.logs.kernel import RoleValues, TiltKernel
 
@@ -98,59 +95,6 @@ def test_the_earth_as_rotations_have_it(channels: int, mounting: Mounting | None
     found = np.stack([table[name] for name in ENU], axis=1)
     assert np.abs(found - truth.flow)[seen].max() < radians(1e-9)
     assert (table["flag"][seen] == PASS).all()
-
-
-@pytest.mark.parametrize("compass", [True, False])
-@pytest.mark.parametrize(("channels", "mounting"), [(3, None), (3, SLANTED), (2, None), (2, RIGHT_ANGLE), (2, SLANTED)])
-def test_the_uncertainty_is_what_differences_give(channels: int, mounting: Mounting | None, compass: bool) -> None:
-    """Of coefficients that are correlated, the mounting, readings, the field, and a level since which it has moved."""
-    known, truth, draw = coefficients(channels, mounting), Truth.of(2_000), np.random.default_rng(1)
-    matrix, axes = np.eye(3) if mounting is None else mounting_matrix(mounting), known.channels
-    seen = visible(truth, known, 0.3) & (np.abs(truth.up[:, 0]) < 0.9)
-    up, field, velocity, heading = (one[seen] for one in (truth.up, truth.field, truth.velocity, truth.heading))
-    size = dict.fromkeys([f"offset.{a}" for a in axes] + [f"sensitivity.{a}.{b}" for a in axes for b in axes], 0.3)
-    size |= {} if mounting is None else {TURN + axis: 5e-4 for axis in "xyz"}
-    mixed = draw.normal(size=(len(size), 2 * len(size)))
-    correlation = np.corrcoef(mixed)
-    covariance = correlation * np.outer(list(size.values()), list(size.values()))
-    doubt = uncertain_readings(
-        tuple(size), covariance, np.full(len(size), 1.959964), np.full(channels, 0.4), alignment=1e-3
-    )
-    readings = known.predict(up @ matrix)
-
-    def columns(one: Coefficients, readings: Array, field: Array, uncertain: Uncertain | None = None) -> Table:
-        compensation = Compensation(one)
-        kernel = None if uncertain is None else CompensationWithUncertainty(compensation, one, uncertain)
-        earth = EarthFrameCompensation(
-            compensation, magnetometer=compass, velocity=True, declination=3.0, uncertain=kernel, field_noise=0.02
-        )
-        given = {"magnetometer": field @ matrix} if compass else {"heading": heading}
-        return TiltKernel(compensation, kernel, earth)(RoleValues(readings, velocity=velocity, **given))
-
-    names = (*(("heading",) if compass else ()), *ENU)
-
-    def slope(change: Callable[[float], Table], step: float) -> Array:
-        high, low = (np.stack([change(side)[name] for name in names]) for side in (step, -step))
-        return np.asarray(((high - low + 180.0) % 360.0 - 180.0) / (2.0 * step))
-
-    jacobian = np.array(
-        [
-            slope(lambda h, unit=unit: columns(moved(known, tuple(size), h * unit), readings, field), 1e-2 * u)
-            for unit, u in zip(np.eye(len(size)), size.values(), strict=True)
-        ]
-    )
-    variance = np.einsum("kcn,kl,lcn->cn", jacobian, covariance, jacobian)
-    for unit in np.eye(channels):
-        variance += (0.4 * slope(lambda h, unit=unit: columns(known, readings + h * unit, field), 1e-2)) ** 2
-    for unit in np.eye(3):
-        turn = np.cross(unit, up @ matrix - matrix[2])[:, :channels] @ known.sensitivity.T
-        variance += (1e-3 * slope(lambda h, turn=turn: columns(known, readings + h * turn, field), 1e-5)) ** 2
-        if compass:
-            variance += (0.02 * slope(lambda h, unit=unit: columns(known, readings, field + h * unit), 1e-4)) ** 2
-    found = columns(known, readings, field, doubt)
-    for name, expected in zip(names, np.sqrt(variance), strict=True):
-        np.testing.assert_allclose(found[f"u_{name}"], expected, rtol=0.02, atol=1e-5, err_msg=name)
-        np.testing.assert_allclose(found[f"U95_{name}"], 1.959964 * expected, rtol=0.02, atol=2e-5, err_msg=name)
 
 
 def level(channels: int = 3, up: list[float] | None = None, declination: float = 0.0, **given: list[float]) -> Table:
