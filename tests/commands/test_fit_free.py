@@ -92,10 +92,18 @@ def test_a_table_of_means_in_free_positions(tmp_path: Path) -> None:
     rows = [f"p{k},{','.join(f'{value:.9f}' for value in reading(up))},0.001,0.001,0.001" for k, up in enumerate(UP)]
     for count in (9, 14):
         (tmp_path / "means.csv").write_text("\n".join(["position,x,y,z,ux,uy,uz", *rows[:count], ""]))
-        found, printed, said = fitted(tmp_path, tmp_path / "means.csv", "--table", "--unit", "m/s2")
+        means = tmp_path / "means.csv"
+        found, printed, said = fitted(tmp_path, means, "--table", "--unit", "m/s2", "--gravity", "9.81")
         assert (found.fit.degrees_of_freedom == 0) is (count == 9)
-        assert ("warning: 9 different attitudes for 9 unknowns" in said) is (count == 9)
-        assert ("zero degrees of freedom" in (found.fit.warning or "")) is (count == 9)
+        few = (
+            "9 different attitudes for 9 unknowns: zero degrees of freedom are left to show whether the result is "
+            "right; add attitudes, 12 to 18 or more"
+        )
+        assert found.fit.warning == (few if count == 9 else None)
+        assert (f"warning: {few[:40]}" in said) is (count == 9)
+    assert [found.derived.scale_error_percent[axis] for axis in "xyz"] == pytest.approx(
+        [100.0 * (row[k] / 9.81 - 1.0) for k, row in enumerate(ROWS)], abs=0.006
+    )
     assert found.coefficients.offset == pytest.approx(OFFSET, abs=1e-6)
     assert found.coefficients.sensitivity.ravel() == pytest.approx([s for row in ROWS for s in row], abs=1e-6)
     assert "14 positions, 14 different attitudes" in printed
