@@ -98,7 +98,7 @@ def predict(
 ) -> Plan:
     """Predict the standard uncertainty of every coefficient equal sensors reach; no stated jig is a perfect one."""
     samples, scatter = samples or procedure.samples, _usual_noise(model) if noise is None else noise
-    seconds = procedure.least_seconds(samples, model.interval, settle or procedure.settle)
+    seconds = procedure.least_seconds(samples, model.interval, settle or procedure.settle, done=0)
     match procedure:
         case MountingCompletion():
             return _predict_mounting(procedure, model, bench, scatter, samples)

@@ -226,7 +226,7 @@ class PositionProcedure(Procedure):
             raise UsageError(option="alignment", why=why.replace("above 0 and", "above 0 and at most"))
         return replace(self, alignment=alignment, record={**self.record, "alignment": alignment})
 
-    def least_seconds(self, samples: int, interval: float, settle: float, done: int = 0) -> float:
+    def least_seconds(self, samples: int, interval: float, settle: float, done: int) -> float:
         """Return how long the positions behind those done must hold still and are sampled, an interval apart, seconds.
 
         Setting and changing temperatures come on top.
@@ -333,7 +333,7 @@ class Ramp(PositionProcedure):
     def length(self) -> str:
         return counted(len(self.positions), "leg")
 
-    def least_seconds(self, samples: int, interval: float, settle: float, done: int = 0) -> float:
+    def least_seconds(self, samples: int, interval: float, settle: float, done: int) -> float:
         """Return the time of the legs behind those done at the pace, seconds."""
         temperatures = [position.temperature or 0.0 for position in self.positions]
         met = [temperatures[0] if self.reference is None else self.reference, *temperatures]

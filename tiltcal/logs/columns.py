@@ -117,7 +117,8 @@ def locate_columns(
             path = log.source.path
             hint = f"; `tiltcal probe {path}` shows what is in it" if path not in ("", "-") else ""
             raise InputError((*parts_of(why), hint), file=log.name, line=log.header_line)
-    shared = [role for role in located if role in channels and list(located.values()).count(located[role]) > 1]
+    stated = {role: column for role, column in located.items() if role in (*channels, *others, *named)}
+    shared = [role for role, column in stated.items() if list(stated.values()).count(column) > 1]
     if shared:
         name = log.names[located[shared[0]]]
         raise InputError(f"{' and '.join(shared)} are one column, {name!r}: name the column of each", file=log.name)

@@ -1,0 +1,89 @@
+"""What does not go with recorded data is refused in whole words, which say what to do."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from support import FIXTURES
+
+import tiltcal
+from tiltcal.errors import TiltcalError
+from tiltcal.files.document import document_of
+from tiltcal.files.procedure import find_procedure
+from tiltcal.logs.frames import rows_of
+from tiltcal.logs.recordings import require_no_signs
+
+CAL = FIXTURES / "plane.yaml"
+LOG = {"x": [1024.0, 1030.0] * 40, "y": [1020.0, 1021.0] * 40}
+THREE = {axis: (9.81 * (axis == "z") + np.random.default_rng(1).normal(0.0, 0.01, 80)).tolist() for axis in "xyz"}
+SENSOR = {"serial": "S-1", "sensor": "sca100t-d02"}
+SEGMENT = [{"position": "level", "start": 0, "end": 80}]
+NOISY = {"x": np.random.default_rng(1).normal(size=200).tolist()}
+
+
+def fit(procedure: str, data: Any = LOG, **options: Any) -> Callable[[], Any]:
+    return lambda: tiltcal.fit(procedure, data, **SENSOR | options)
+
+
+def noise(data: Any, **options: Any) -> Callable[[], Any]:
+    return lambda: tiltcal.noise(data, **options)
+
+
+def applied(data: Any = LOG, **options: Any) -> Callable[[], Any]:
+    return lambda: tiltcal.read(CAL).apply(data, **options)
+
+
+REFUSED: dict[str, Callable[[], Any]] = {
+    "skip_bad_rows is for logs: a frame has no row that cannot be parsed": applied(skip_bad_rows=True),
+    "serial is for a folder of calibrations (calibrations)": applied(serial="S"),
+    "average and every each say what belongs into a mean: give one of them": applied(average=2, every="1s"),
+    "columns -a has a minus, and signs belong to the calibration: name a; the file that was fitted turns it": (
+        lambda: require_no_signs("x=-a,y=b", ["a", "b"])
+    ),
+    "the rows is a list of rows: each is a mapping, such as {'position': 'level', 'x': 2.5}": (
+        lambda: rows_of([1.0], "the rows")
+    ),
+    "f: a number or a text is needed, not a complex": lambda: document_of({"f": 1j}),
+    "plane lets no stage turn": lambda: find_procedure("plane").in_turns(),
+    "rotation renews no offset: leave alignment out": lambda: find_procedure("rotation").with_alignment(1.0),
+    "free sets no position that could be visited again: leave closing out": lambda: find_procedure(
+        "free"
+    ).with_closing(),
+    "ramp sets no position that could be visited again: leave closing out": lambda: find_procedure(
+        "ramp"
+    ).with_closing(),
+    "ramp sets no positions to verify with: name another procedure": lambda: find_procedure("ramp").verifying(),
+    "a table is one file, and 2 are given: name one": fit("plane", ["a.csv", "b.csv"], table=True),
+    "a table has its positions already: leave segments out": fit("plane", LOG, table=True, segments=SEGMENT),
+    "the frame: segment level ends at row 81, and the log has 80": (
+        fit(
+            "ramp",
+            LOG | {"time": np.arange(80.0), "temperature": np.full(80, 20.0)},
+            segments=[SEGMENT[0] | {"end": 81}],
+        )
+    ),
+    "state the sensor's serial number": fit("plane", serial=None),
+    "the frame: its sample rate is unknown: there is no column 'time'; name it with columns time=NAME, or state rate "
+    "HZ": noise(NOISY),
+    "the frame: column 'x' has no value in any row: is x connected?": noise({"x": [None] * 80}, rate=1.0),
+    "the frame: x has 63 samples; nothing is said of noise from fewer than 64": noise({"x": NOISY["x"][:63]}, rate=1.0),
+    "the frame: x reads 2 in all 80 samples: identical samples are not still, they are stuck (or the noise is far "
+    "below the step of the reading, and no averaging helps)": noise({"x": [2.0] * 80}, rate=1.0),
+    "target is in degrees, and nothing says how much a degree is: give the sensor model, a calibration, or unit g or "
+    "m/s2": noise(NOISY, rate=1.0, target=0.1),
+    "the frame: x and temperature are one column, 'x': name the column of each": applied(columns="temperature=x"),
+    "the readings have one unit: sensor says count, but unit says V": noise(NOISY, sensor="sca100t-d02", unit="V"),
+    "the frame: column 'a' has no value in any row: is a connected?": lambda: tiltcal.match(
+        {"t": np.arange(900.0), "a": [np.nan] * 900, "b": np.ones(900), "c": np.ones(900)},
+        [("a", "b", "c")],
+        phase="t",
+    ),
+}
+
+
+@pytest.mark.parametrize("said", REFUSED, ids=[said[:40] for said in REFUSED])
+def test_it_is_refused_in_whole_words(said: str) -> None:
+    with pytest.raises(TiltcalError) as refused:
+        REFUSED[said]()
+    assert str(refused.value) == said
