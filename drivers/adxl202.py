@@ -317,9 +317,11 @@ def duty_cycles(truth: Truth, fixture: HeldPose, clock: Clock, number: int) -> t
 def virtual_sentences(truth: Truth, fixture: HeldPose, clock: Clock) -> StreamingPart:
     """Return a microcontroller that times both pulses and sends 100 sentences per second."""
 
+    period = period_of(truth)
+
     def sentence(number: int) -> bytes:
         # 0.1 % longer per °C, so that T1 alone is wrong.
-        ticks = round(period_of(truth) * (1.0 + 1e-3 * (fixture.temperature() - truth.reference)) * TIMER)
+        ticks = round(period * (1.0 + 1e-3 * (fixture.temperature() - truth.reference)) * TIMER)
         x, y = (round(duty * ticks) for duty in duty_cycles(truth, fixture, clock, number))
         temperature = fixture.temperature() + truth.thermometer_error
         inside = f"PTCDC,{number},{x},{y},{ticks},{ticks},{temperature:.2f}".encode()

@@ -362,7 +362,7 @@ class VirtualRegisters(VirtualPart):
 
     def _content(self, asked: Sequence[int]) -> bytes:
         """Return registers of one moment."""
-        part, held = self._part, dict(self._held)
+        part, held, places = self._part, dict(self._held), [self._place(register) for register in asked]
         if part.virtual.memory_fault and self._fault().kind == "parity":
             status, bit = part.virtual.memory_fault
             held[status] = held.get(status, 0) | bit
@@ -371,8 +371,9 @@ class VirtualRegisters(VirtualPart):
             scale = self._range_held()
             low, high = scale.rails or next(iter(part.channels.values())).rails
             for channel, place in part.channels.items():
-                counts = scale.counts_per_g / part.sampling.counts_per_g
-                held |= place.encode(self._word(channel, part.sampling.rate, low, high, counts))
+                if not {*range(place.at, place.at + place.size)}.isdisjoint(places):
+                    counts = scale.counts_per_g / part.sampling.counts_per_g
+                    held |= place.encode(self._word(channel, part.sampling.rate, low, high, counts))
             if part.thermometer:
                 held |= part.thermometer.encode(self._celsius())
             if part.new_sample:
@@ -381,4 +382,4 @@ class VirtualRegisters(VirtualPart):
                 held[status] = bit if sample > self._taken else 0
                 if part.bursts[0][0] in asked:
                     self._taken = sample
-        return bytes(held.get(self._place(register), 0) for register in asked)
+        return bytes(held.get(place, 0) for place in places)

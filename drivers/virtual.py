@@ -287,12 +287,15 @@ class Pose:
     def __init__(self, fixture: Fixture, seen: Callable[[Vector], Vector]) -> None:
         self._seen = seen
         self._fixture = fixture
+        self._held = fixture.gravity, seen(fixture.gravity)
         self.temperature = fixture.temperature
 
     @property
     def gravity(self) -> Vector:
         """Up in the sensor frame, g."""
-        return self._seen(self._fixture.gravity)
+        if self._held[0] is not self._fixture.gravity:
+            self._held = self._fixture.gravity, self._seen(self._fixture.gravity)
+        return self._held[1]
 
 
 HeldPose = Fixture | Pose

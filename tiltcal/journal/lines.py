@@ -50,6 +50,10 @@ LINE_LIMIT = 16_000_000  # bytes of a line; the first one holds the procedure an
 _ARRAY_CHECK = len(',"00000000"]\n')
 _OBJECT_CHECK = len(',"check":"00000000"}\n')
 _CHANGED = "the line is damaged: its check does not fit its content"
+_PLAIN = re.compile(
+    r'\[(0|[1-9][0-9]{0,17}),"((?![ap])[a-z])","([0-9a-f]*)","([0-9a-f]*)"(?:,(0|[1-9][0-9]{0,8}))?,"[0-9a-f]{8}"\]\n'
+)
+"""A transaction as it is written here; nearly all lines are. Any other way to write it is JSON too."""
 _ACCEPTS, _ENDS = (re.compile(rb'\[\s*[0-9]+\s*,\s*"%s"\s*,' % kind.encode()) for kind in (POSITION, END))
 
 
@@ -216,7 +220,9 @@ class JournalWriter:
 
     def append(self, dt_ns: int, kind: str, *payload: Any) -> None:
         """Write one event, whole or, with a JournalError where the disk is full or fails, not at all."""
-        body = _dumps([dt_ns, kind, *payload]).encode()
+        event = [dt_ns, kind, *payload]
+        # Of a transaction, integers and hexadecimal digits, both give the same bytes, this one in a tenth of the time.
+        body = _dumps(event).encode() if kind in _LINES else msgspec.json.encode(event)
         crc = crc32(body, self._written.crc)
         line = body[:-1] + f',"{crc:08x}"]\n'.encode()
         try:
@@ -281,6 +287,9 @@ def _header(line: bytes, path: Path) -> tuple[dict[str, Any], Written]:
 
 
 def _event_of(line: bytes, path: Path, number: int) -> Event:
+    if (plain := _PLAIN.fullmatch(line.decode("latin-1"))) and not (len(plain[3]) | len(plain[4])) % 2:
+        dt, letter, *transferred, device = plain.groups()
+        return Event(number, int(dt), letter, (*transferred, int(device)) if device else tuple(transferred))
     match found := _loads(line[:-_ARRAY_CHECK] + b"]", path, number):
         case [dt_ns, str(kind), *payload]:
             with suppress(msgspec.ValidationError):
