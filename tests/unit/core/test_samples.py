@@ -4,11 +4,11 @@ from math import exp, inf, pi, sqrt
 
 import numpy as np
 import pytest
+import scipy
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import brentq
 from scipy.special import digamma, polygamma
-from scipy.stats import chi2, linregress, norm
 
 from tiltcal.core.model import Array
 from tiltcal.core.samples import (
@@ -67,7 +67,7 @@ def test_a_drift_is_that_of_the_regression_line(times: Array) -> None:
     samples = 3.0 + 0.02 * times + np.random.default_rng(2).normal(0.0, 0.1, len(times))
     change = u = 0.0
     if np.ptp(times):
-        line, span = linregress(times, samples), np.ptp(times)
+        line, span = scipy.stats.linregress(times, samples), np.ptp(times)
         change, u = line.slope * span, line.stderr * span
     assert drift(times.tolist(), samples.tolist()) == pytest.approx((change, u), rel=1e-9, abs=1e-12)
 
@@ -120,7 +120,7 @@ def test_noise_with_a_memory_counts_as_it_does() -> None:
 def rounded(noise: float) -> tuple[float, float]:
     """The mean variance of readings rounded to 1, and the root mean square error of their mean, over all offsets."""
     at, steps = np.linspace(-0.5, 0.5, 401)[:, None], np.arange(-9.0, 10.0)
-    shares = norm.cdf((steps + 0.5 - at) / noise) - norm.cdf((steps - 0.5 - at) / noise)
+    shares = scipy.stats.norm.cdf((steps + 0.5 - at) / noise) - scipy.stats.norm.cdf((steps - 0.5 - at) / noise)
     mean = shares @ steps
     return float(np.mean(shares @ steps**2 - mean**2)), sqrt(np.mean((mean - at[:, 0]) ** 2))
 
@@ -165,8 +165,8 @@ def test_variances_that_scatter_are_drawn_together_by_smyths_estimators() -> Non
     """G. K. Smyth (2004), section 6.2, with its own equations; those that are known stay what they are."""
     draw, dof = np.random.default_rng(3), np.array([9.0, 9.0, 4.0, 9.0, 19.0] * 4)
     for prior in (3.0, inf):
-        truth = 0.04 * (prior / chi2.rvs(prior, size=20, random_state=draw) if prior < inf else np.ones(20))
-        variance = truth * chi2.rvs(dof, random_state=draw) / dof
+        truth = 0.04 * (prior / scipy.stats.chi2.rvs(prior, size=20, random_state=draw) if prior < inf else np.ones(20))
+        variance = truth * scipy.stats.chi2.rvs(dof, random_state=draw) / dof
         e = np.log(variance) - digamma(dof / 2) + np.log(dof / 2)
         more = np.var(e, ddof=1) - np.mean(polygamma(1, dof / 2))
         expected, freedom = np.full(20, dof @ variance / dof.sum()), np.full(20, dof.sum())
