@@ -143,14 +143,61 @@ def test_a_log_without_known_readings_is_described_from_a_pipe_too(lines: list[s
     tiltcal("probe", "log.csv", "--self-test", cwd=tmp_path, code=2)
 
 
-def test_a_log_at_rest_has_one_attitude(tmp_path: Path) -> None:
-    rows = np.random.default_rng(0).normal([0.0, 0.0, 1.0], 0.01, (3000, 3))
-    (tmp_path / "log.csv").write_text("x,y,z\n" + "".join(f"{x:.5f},{y:.5f},{z:.5f}\n" for x, y, z in rows))
-    done = tiltcal("probe", "log.csv", cwd=tmp_path)
-    assert done.stdout.splitlines()[-2:] == [
-        "1 still attitude, 1 of them different",
-        "next: tiltcal noise log.csv --unit g",
-    ]
+NOISE = np.random.default_rng(0).normal(0.0, 0.01, (3000, 3))
+TURNED = np.vstack([np.eye(3), -np.eye(3), [[0.6, 0.8, 0.0], [0.0, 0.6, 0.8], [0.8, 0.0, 0.6], [-0.6, 0.8, 0.0]]])
+PROBED = {
+    "rest.csv": (
+        "time (ms),x (V),y (V),note\n"
+        + "".join(f"{10 * k},{x:.4f},{y:.4f},a\n" for k, (x, y, _) in enumerate(NOISE))
+        + "9,?,2,a\n",
+        "rows from line 2, names in line 1, fields by commas, encoding UTF-8\n"
+        "    1  time (ms)                    time         [ms] by its header\n"
+        "    2  x (V)                        x            [V] by its header\n"
+        "    3  y (V)                        y            [V] by its header\n"
+        "    4  note                         -\n"
+        "3001 rows, 100 Hz, 1 row that cannot be parsed\n"
+        "  column 'time (ms)' is in ms, by its name: seconds are used inside\n"
+        "1 still attitude, 1 of them different\n"
+        "next: tiltcal apply CAL.yaml rest.csv -o TILT.csv\n",
+    ),
+    "means.csv": (
+        "position;x;y;z\n" + "".join(f"p{k};{x:.4f};{y:.4f};{z:.4f}\n" for k, (x, y, z) in enumerate(9.81 * TURNED)),
+        "rows from line 2, names in line 1, fields by semicolons, encoding UTF-8\n"
+        "    1  position                     -\n    2  x                            x\n"
+        "    3  y                            y\n    4  z                            z\n10 rows\n"
+        "at rest the readings are 9.81 long\n"
+        "next: tiltcal fit free means.csv --table --unit UNIT --serial NAME -o NAME.yaml, if each row is a mean\n",
+    ),
+    "held.txt": (
+        "".join(f"{x:.3f} {y:.3f} {z:.3f}\n" for x, y, z in 9.81 * (np.repeat(np.eye(3), 1000, axis=0) + NOISE)),
+        "rows from line 1, fields by blanks, encoding UTF-8\n"
+        "    1  1                            x            [m/s2] by the length of gravity at rest\n"
+        "    2  2                            y            [m/s2] by the length of gravity at rest\n"
+        "    3  3                            z            [m/s2] by the length of gravity at rest\n"
+        "3000 rows\nat rest the readings are 9.81 long\n"
+        "3 still attitudes, 3 of them different; none with ±x and ±y and ±z up\n"
+        "next: tiltcal fit six-face held.txt --columns x=1,y=2,z=3 --unit m/s2 --serial NAME -o NAME.yaml\n",
+    ),
+    "gaps.csv": (
+        "ax (g),ay (g),az (g)\n"
+        + "".join(f"{x:.4f},{'' if y > 0.02 else f'{y:.4f}'},{1 + z:.4f}\n" for x, y, z in NOISE),
+        "rows from line 2, names in line 1, fields by commas, encoding UTF-8\n"
+        "    1  ax (g)                       x            [g] by its header\n"
+        "    2  ay (g)                       y            [g] by its header\n"
+        "    3  az (g)                       z            [g] by its header\n"
+        f"3000 rows\n  ay (g): missing in {int((NOISE[:, 1] > 0.02).sum())} rows\n"
+        "at rest the readings are 1.00 long\n1 still attitude, 1 of them different\nnext: tiltcal noise gaps.csv\n",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", PROBED)
+def test_what_is_in_a_log_is_told_in_whole_words(name: str, tmp_path: Path) -> None:
+    content, said = PROBED[name]
+    (tmp_path / name).write_text(content)
+    text = tiltcal("probe", name, cwd=tmp_path, code=0).stdout
+    text = re.sub(r"(?<=readings are )[\d.]+", lambda length: f"{float(length[0]):.2f}", text)
+    assert re.sub("[+-](?=[xyz] )", "±", text) == f"{name}: {said}"
 
 
 def test_the_first_times_of_a_log_decide_their_unit() -> None:
