@@ -5,7 +5,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support.json_program import Event, lead
+from support.command import tiltcal
+from support.json_program import lead
 
 from tiltcal.bench import devices
 from tiltcal.files.calibration import read_calibration
@@ -43,33 +44,22 @@ positions:
 OPTIONS = ("--sensor", "sca100t-d02", "--address", "sim:twin=twin.yaml", "--serial", "S-1", "-o", "S-1.yaml")
 
 
-def chamber(message: Event) -> Event | None:
-    """A program of a chamber, which also reports the temperature that it had when it was asked."""
-    return {"answer": "ready", "temperature": 21.0} if "ask" in message else None
-
-
-def test_to_go_back_is_refused_and_costs_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The journal holds the answer, and what it gives must not lose the leg before."""
-    monkeypatch.chdir(tmp_path)
-    Path("twin.yaml").write_text(TWIN)
-    Path("quick.yaml").write_text(PROCEDURE)
-    answers = iter(["ready", "back", "redo", "ready", "back", "ready"])
-    session = lead(
-        *("measure", "quick.yaml", *OPTIONS),
-        cwd=tmp_path,
-        answer=lambda message: {"answer": next(answers)} if message.get("ask") == "position" else None,
-    )
-    assert session.exit_code == 0, session.errors
-    assert len(session.events("refused")) == 3
-    assert [event["position"] for event in session.events("accepted")] == ["down", "up", "back"]
-
-
 def test_a_program_leads_through_the_turns_and_the_lag_is_that_of_the_twin(tmp_path: Path) -> None:
+    """It reports a temperature as well, that of when it was asked; to go back is refused, and loses no leg."""
     (tmp_path / "twin.yaml").write_text(TWIN)
     (tmp_path / "quick.yaml").write_text(PROCEDURE)
-    session = lead("measure", "quick.yaml", *OPTIONS, "--jig", "0", cwd=tmp_path, answer=chamber)
+    answers = iter(["ready", "back", "redo", "ready", "back", "ready"])
+    session = lead(
+        *("measure", "quick.yaml", *OPTIONS, "--jig", "0"),
+        cwd=tmp_path,
+        answer=lambda message: {"answer": next(answers), "temperature": 21.0} if "ask" in message else None,
+    )
     assert session.exit_code == 0, session.errors
-    assert [(ask["position"], ask["temperature"]) for ask in session.asks] == [("down", 5), ("up", 40), ("back", 5)]
+    asked = [("down", 5), *[("up", 40)] * 3, *[("back", 5)] * 2]
+    assert [(ask["position"], ask["temperature"]) for ask in session.asks] == asked
+    assert [event["why"].partition(":")[0] for event in session.events("refused")] == 3 * [
+        "a ramp is one continuous record"
+    ]
     assert [event["position"] for event in session.events("accepted")] == ["down", "up", "back"]
     assert "a thermal lag of" in session.errors
     found = read_calibration(tmp_path / "S-1.yaml")
@@ -79,6 +69,7 @@ def test_a_program_leads_through_the_turns_and_the_lag_is_that_of_the_twin(tmp_p
     assert found.uncertainty["temperature.lag"] < 3.0
     assert thermal.drift[:, 0] == pytest.approx([2.1, -3.0], abs=0.03)
     assert found.coefficients.offset == pytest.approx([1030.0, 1018.0], abs=0.5)
+    assert tiltcal("replay", "S-1.journal.jsonl", "--golden", "S-1.yaml", cwd=tmp_path).returncode == 0
 
 
 def test_faults_that_pass_cost_their_samples_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

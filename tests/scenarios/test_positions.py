@@ -196,23 +196,6 @@ def test_a_temperature_that_no_bench_has_is_refused_as_an_answer() -> None:
     assert rig.refusals == 3 * ["level-warm: temperature in the answer is 9999 °C, not between -60 and 150"]
 
 
-def test_a_slow_chamber_is_waited_for() -> None:
-    """From 24 °C to within 2 °C of 5.5 °C with a time constant of two minutes takes 120 ln(18.5 / 2) = 267 s; the
-    thermometer's step of 0.92 °C lets it be thought there half a step, 31 s, too early."""
-    twin_with("time_constant: 120.0")
-    warm, cold = session("two-temperature").positions
-    assert _seconds(str(cold.time)) - _seconds(str(warm.time)) > 267.0 - 31.0
-    assert cold.temperature == pytest.approx(5.5, abs=2.0 + 0.92)
-
-
-def test_a_thermometer_that_is_far_off_is_believed_once_it_holds() -> None:
-    """A sensor's own thermometer is not trimmed: 6 °C off, it must hold for ten windows of 20 s."""
-    twin_with("thermometer_error: 6.0")
-    warm, cold = session("two-temperature").positions
-    assert _seconds(str(cold.time)) - _seconds(str(warm.time)) > 200.0
-    assert cold.temperature == pytest.approx(11.5, abs=0.6)
-
-
 LATE = """\
 tiltcal: 1
 kind: twin

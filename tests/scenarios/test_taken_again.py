@@ -1,6 +1,5 @@
 """Positions that are taken again: named by the operator, or refused where they contradict the others at the end."""
 
-import json
 import re
 import sys
 from collections import Counter
@@ -15,8 +14,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from support.browser import CHROMIUM, browser
 from support.command import tiltcal
-from support.json_program import GONE, Event, ProgramSession, lead, ready
-from support.moving_machines import VirtualTable, serving
+from support.json_program import GONE, ProgramSession, lead
 from support.web_client import session
 
 from tiltcal.bench.session import Session
@@ -87,33 +85,6 @@ def test_a_face_askew_is_refused_at_the_end_and_asked_for_again(
     assert re.search(rf"{wrong[-2]} or {wrong[-1]} is wrong: .* contradict the readings by up to ", refused[-1]["why"])
     assert taken(led) == FACES + wrong
     require_right(tmp_path, dict.fromkeys(wrong, 2))
-
-
-PRINTS = """\
-tiltcal: 1
-kind: twin
-model: serial-columns
-truth:
-  offset: {x: 1.61, y: 1.65, z: 1.68}
-  sensitivity: {x: {x: 0.33, y: 0.002, z: 0}, y: {x: 0, y: 0.34, z: 0}, z: {x: 0, y: 0, z: 0.32}}
-  noise: {x: 0.0003, y: 0.0003, z: 0.0003}
-"""
-
-
-def test_a_swapped_pair_of_a_sensor_whose_readings_nobody_predicts(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Two faces of two axes are exchanged: the second one reads alike in another tilt, and the first is taken again."""
-    really(monkeypatch, lambda name, n: {"x-up": "y-up", "y-up": "x-up"}.get(name, name) if n == 1 else name)
-    (tmp_path / "twin.yaml").write_text(PRINTS)
-    sensor = ("--sensor", "serial-columns", "--address", "sim:?columns=x,y,z&unit=V&twin=twin.yaml")
-    said = iter([*3 * [{"answer": "ready"}], {"answer": "again", "position": "x-up"}, *6 * [{"answer": "ready"}]])
-    led = lead(*BEGIN[:2], *sensor, *BEGIN[6:], cwd=tmp_path, answer=lambda one: next(said) if "ask" in one else None)
-    assert led.exit_code == 0, led.errors
-    (refused,) = led.events("refused")
-    assert (refused["position"], "from x-down: was the sensor turned" in refused["why"]) == ("y-up", True)
-    assert taken(led) == ["x-up", "x-down", "x-up", *FACES[2:]]
-    assert tiltcal("check", "S-1.yaml", cwd=tmp_path).returncode == 0
 
 
 def test_killed_while_it_is_taken_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -209,66 +180,6 @@ def test_what_cannot_be_taken_out_of_its_order_says_why(
     led = lead("measure", procedure, *options, cwd=tmp_path, answer=lambda one: next(said) if "ask" in one else None)
     assert led.exit_code == 130
     assert why in led.events("refused")[0]["why"]
-
-
-TABLE = """\
-tiltcal: 1
-kind: bench
-jig: 0.05
-sensors: [{{serial: S-1, model: sca100t-d02, address: "sim:?seed=1"}}]
-table:
-  kind: text
-  address: {place}
-  limits: {{x: [-95, 95], y: [-95, 95]}}
-  tolerance: 0.05
-  approach: 2
-{start}  set: ["G0 X{{x:.3f}} Y{{y:.3f}}"]
-  accepted: ^ok
-  read: "?"
-  read_alone: true
-  pattern: MPos:(?P<x>[-0-9.]+),(?P<y>[-0-9.]+)
-"""
-ANGLES = [f"{axis}{angle:+d}" for axis in "xy" for angle in (15, -15, 30, -30, 45, -45)]
-
-
-def written(folder: Path) -> None:
-    """Write a procedure of twelve tilts, which show each other's errors."""
-    positions = [
-        {"name": f"{n[0]}{'up' if n[1] == '+' else 'down'}{n[2:]}", "tilt": {n[0]: int(n[1:])}, "prompt": "Tilt."}
-        for n in ANGLES
-    ]
-    named = {"tiltcal": 1, "kind": "procedure", "name": "tilts", "title": "Tilts", "determines": {"axes": ["x", "y"]}}
-    (folder / "tilts.yaml").write_text(json.dumps({**named, "positions": positions}))
-
-
-@pytest.mark.parametrize("start", ["  start: [$H]\n", ""])
-def test_a_table_that_lost_a_step(start: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Before the eleventh position of twelve it loses 11°, until it is homed, or a person looks at it.
-
-    With a reference run nobody is asked, and all from the first wrong position on is taken again.
-    """
-    table, homed, asked = VirtualTable(np.random.default_rng(1), lambda: 1.0), [], []
-    home = table.home
-    monkeypatch.setattr(table, "home", lambda: (homed.append(""), home()))
-    written(tmp_path)
-    names = [position.name for position in find_procedure(str(tmp_path / "tilts.yaml")).positions]
-    really(monkeypatch, lambda name, n: "askew" if name in names[10:] and len(homed) < 2 and not asked else name)
-
-    def person(message: Event) -> Event | None:
-        asked.extend([message["position"]] if "ask" in message else [])
-        return ready(message)
-
-    with serving(table.line) as place:
-        (tmp_path / "bench.yaml").write_text(TABLE.format(place=place, start=start))
-        led = lead("measure", "tilts.yaml", "--bench", "bench.yaml", *BEGIN[12:], cwd=tmp_path, answer=person)
-    assert led.exit_code == 0, led.errors
-    refused = [event["position"] for event in led.events("refused")][::-1]
-    first = names.index(refused[0])
-    assert (refused, asked) == ((names[first:], []) if start else (refused, refused))
-    assert taken(led) == names + refused
-    assert {one.position: one.takes for one in read_calibration(tmp_path / "S-1.yaml").positions if one.takes} == (
-        dict.fromkeys(refused, 2)
-    )
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed: apt install chromium")

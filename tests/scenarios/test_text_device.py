@@ -1,8 +1,7 @@
 """Devices that are known by their manual alone: what is sent, what is a reading, and what is none."""
 
-from collections.abc import Iterable, Iterator, Mapping
-from functools import partial, reduce
-from itertools import cycle
+from collections.abc import Iterable, Mapping
+from functools import reduce
 from math import asin, degrees
 from operator import xor
 from pathlib import Path
@@ -21,7 +20,6 @@ from tiltcal.drivers.bus.clock import VirtualClock
 from tiltcal.drivers.model import Sensor
 from tiltcal.drivers.virtual import Fixture
 from tiltcal.errors import BusError, HardwareError
-from tiltcal.files.bench import BenchFile, BenchSensor
 from tiltcal.files.device import model_named
 
 pytest.importorskip("serial", reason="the pyserial package is not installed")
@@ -218,29 +216,6 @@ def test_x_and_y_on_lines_of_their_own_are_one_reading_and_a_lost_line_none(kept
         readings = [sensor.read().values for _ in range(40)]
     assert all(x == -y for x, y in readings)
     assert len(set(readings)) == 40
-
-
-@pytest.mark.parametrize("axes", [cycle((0, 1)), iter(partial(Random(1).randrange, 2), 2)])
-def test_two_axes_in_one_column_are_no_position(tmp_path: Path, axes: Iterator[int]) -> None:
-    """Printed in turn, or in any order: the first position that is tilted otherwise is refused at the latest."""
-    chance, tilt = Random(1), [0.0, 0.0]
-
-    def printed() -> bytes:
-        return b"%.3f\r\n" % (tilt[next(axes)] + chance.gauss(0.0, 0.01))
-
-    class Rig:
-        def position(self, ask: Mapping[str, Any]) -> dict[str, str]:
-            tilt[:] = [degrees(asin(axis)) for axis in ask["gravity"][:2]]
-            return {"answer": "ready"}
-
-        def refused(self, event: Mapping[str, Any]) -> None:
-            raise KeyError(event["why"])
-
-    with printing(printed, 500.0, waits=True) as path:
-        sensor = BenchSensor("T", "serial-columns", f"serial://{path}?columns=x&unit=tenths")
-        bench = BenchFile((sensor,))
-        with pytest.raises(KeyError, match="does each line have all axes"):
-            measure("plane", bench=bench, tilt=10.0, operator=Rig(), output=tmp_path, samples=40, settle=0.1)
 
 
 @pytest.mark.parametrize(
