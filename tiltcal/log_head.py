@@ -273,15 +273,20 @@ def _names_above(
 
     def merit(row: int) -> tuple[int, int, int]:
         cells = found[row]
-        known = sum(map(is_unit, filter(None, (cell.strip("[]()") for cell in cells))))
+        known = sum(map(is_unit, filter(None, map(_bare, cells))))
         return sum(map(bool, map(role_of, cells))), len({*cells}) - 2 * known, -row
 
     named = max(found, key=merit)
     names = found[named]
     below = (row for row in sorted(found) if row > named)
-    units = next((row for row in below if any(is_unit(cell.strip("[]()")) for cell in found[row])), None)
-    stated = {} if units is None else zip(names, (cell.strip("[]()") for cell in found[units]), strict=True)
+    units = next((row for row in below if any(map(is_unit, map(_bare, found[row])))), None)
+    stated = {} if units is None else zip(names, map(_bare, found[units]), strict=True)
     return named, names, {name: unit for name, unit in stated if name and is_unit(unit)} if stated else {}
+
+
+def _bare(cell: str) -> str:
+    """Return a unit without the brackets around it, which those in ``m/(s^2)`` are not."""
+    return cell if is_unit(cell) else cell.strip("[]()")
 
 
 def _name_cells(text: str, fields: int, reading: _Reading) -> list[str] | None:

@@ -2,15 +2,17 @@
 
 import json
 import re
+from itertools import islice
 from pathlib import Path
 from time import process_time
 
 import numpy as np
 import polars as pl
 import pytest
+import yaml
 from support import ROOT
 from support.command import tiltcal
-from support.kinds_of_logs import ENCODINGS, KINDS, OFFSET, READINGS, UNNAMED, write_kind
+from support.kinds_of_logs import ENCODINGS, KINDS, OFFSET, READINGS, UNNAMED, rows, write_kind
 
 import tiltcal as library
 from tiltcal.errors import InputError
@@ -51,6 +53,37 @@ def test_a_kind_is_probed_fitted_and_applied(kind: str, tmp_path: Path) -> None:
     layout = said["layout"]["rows from line"], said["layout"]["encoding"], said["layout"]["clock in front"]
     encoding = {"utf-16": "UTF-16", "cp1252": "Windows-1252"}.get(ENCODINGS.get(kind, ""), "UTF-8")
     assert layout == (KINDS[kind][0].count("\n") + 1, encoding, "yes" if kind == "Arduino monitor" else None)
+
+
+WRITTEN = yaml.safe_load((ROOT / "tests" / "support" / "kinds_of_logs.yaml").read_text(encoding="utf-8"))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_how_a_kind_is_written(kind: str) -> None:
+    """The whole dialect, by the first 300 rows."""
+    head, row = KINDS[kind]
+    found = dialect_of((head + "".join(row(one) + "\n" for one in islice(rows(), 300))).splitlines())
+    marks = {"header": found.has_header, "blanks": found.has_blanks, "clock": found.has_clock, "sum": found.has_sum}
+    letters = {"number": "n", "time": "t", "missing": "m", "text": "x"}
+    patterns = [] if found.pattern is None else [found.pattern, *found.others]
+    assert {
+        "names": [*found.names],
+        "kinds": "".join(letters[one] for one in found.kinds),
+        "units": dict(found.units),
+        "fields": [found.separator, found.decimal],
+        "head": [found.first, found.named],
+        "marks": [mark for mark, there in marks.items() if there],
+        "dates": found.dates,
+        "comments": [*found.comments],
+        "patterns": [[*(one.keys or one.texts)] for one in patterns],
+    } == {
+        "units": {},
+        "fields": [",", "."],
+        "marks": ["header"],
+        "dates": "",
+        "comments": ["#", "//", "%"],
+        "patterns": [],
+    } | WRITTEN[kind]
 
 
 def test_a_sentence_with_another_check_sum_is_no_row(tmp_path: Path) -> None:
