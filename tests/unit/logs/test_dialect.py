@@ -1,0 +1,77 @@
+"""The parts of a line: clocks in front, sums behind, labels, kinds of cells and fields, by the rule."""
+
+import pytest
+
+from tiltcal.dialect import Dialect, Pattern, flattened, kind_of, labels_of, printed, split, without_clock, without_sum
+
+
+@pytest.mark.parametrize(
+    ("line", "clock", "rest"),
+    [
+        ("12:03:11.123 -> 1,2", "12:03:11.123", "1,2"),
+        ("[12:03:11,5] 1,2", "12:03:11,5", "1,2"),
+        ("[2026-03-14 09:30:00.5] -> 1", "2026-03-14 09:30:00.5", "1"),
+        ("9:30 > x", "9:30", "x"),
+        ("9:30:01 PM -> x", "9:30:01 PM", "x"),
+        ("12:03:11.123,1,2", "", "12:03:11.123,1,2"),
+        ("1,2", "", "1,2"),
+    ],
+)
+def test_the_clock_of_a_monitor(line: str, clock: str, rest: str) -> None:
+    assert without_clock(line) == (clock, rest)
+
+
+def test_what_a_cell_holds() -> None:
+    kinds = {
+        "number": ("1", "-2.5", "+.5e-3", "1e5", " 7 ", "inf", "-Infinity"),
+        "time": ("2026-03-14", "14.03.2026 09:30", "14/Mar/26", "09:30:01.5", "9:30 pm", "2026-03-14T09:30:00Z"),
+        "missing": ("", " ", "NaN", "-nan", "N/A", "null", "None"),
+        "text": ("a", "1,5", "1.5.2.7", "0x1F", "--1", "1 2", "1e"),
+    }
+    assert {kind: {kind_of(cell) for cell in cells} for kind, cells in kinds.items()} == {
+        kind: {kind} for kind in kinds
+    }
+    assert [kind_of(cell, ",") for cell in ("1,5", "-,5e2", "1.5", "1,5,2")] == ["number", "number", "number", "text"]
+
+
+def test_labels_and_numbers_of_a_line() -> None:
+    """A label of a group holds up to the next one; three numbers behind a label are x, y and z; units are no labels."""
+    for line, names, numbers in (
+        ("X: 1.5 Y: -2 Z: 3e2", ["X", "Y", "Z"], ["1.5", "-2", "3e2"]),
+        ("Gyro: X: 1 Y: 2 Acc: X: 3 Y: 4", ["Gyro X", "Gyro Y", "Acc X", "Acc Y"], ["1", "2", "3", "4"]),
+        ("acc = 0.1, 0.2, 0.3 t = 5", ["acc x", "acc y", "acc z", "t"], ["0.1", "0.2", "0.3", "5"]),
+        ("v: 1 2", ["v 1", "v 2"], ["1", "2"]),
+        ("ax=0.5g ay=1g 2", ["ax", "ay 1", "ay 2"], ["0.5", "1", "2"]),
+        ("1 2 3", ["x", "y", "z"], ["1", "2", "3"]),
+        ("imu2 7.5 m/s^2", [""], ["7.5"]),
+    ):
+        texts, found = printed(line)
+        assert (labels_of(texts), found) == (names, numbers), line
+        assert "".join(text + number for text, number in zip(texts, [*found, ""], strict=True)) == line
+
+
+def test_fields_sums_patterns_and_objects() -> None:
+    assert split('1 ,"a,b",3', ",") == ["1", "a,b", "3"]
+    assert split('1,"a,3', ",") == ["1", '"a', "3"]
+    assert split(" 1  2 ", " ") == ["1", "2"]
+    assert (without_sum("$A,1*70"), without_sum("$A,1*71"), without_sum("A,1*70")) == ("", "", "")
+    assert without_sum("$A,1*5C") == "$A,1"  # 0x41 ^ 0x2C ^ 0x31
+    assert flattened({"a": {"b": [1, 2, 3], "c": [4]}, "d": None, "e": "f", "g": True}) == {
+        "a.b.x": "1", "a.b.y": "2", "a.b.z": "3", "a.c.0": "4", "d": "", "e": "f", "g": "true"
+    }  # fmt: skip
+    with pytest.raises(ValueError, match="no object"):
+        flattened(5)
+    rows = Pattern(("x = ", " y = ", " mg"))
+    assert rows.cells("X =1.5 y= nan mg") == ["1.5", "nan"]
+    assert rows.cells("x = 1.5 y = 2") is rows.cells("x = a y = 2 mg") is None
+    assert rows.at_once(b"x = 1 y = 2 mg\nx = 3 y = 4 mg\n", b";") == b"1;2\n3;4\n"
+    assert rows.at_once(b"x = 1 y = 2 mg\ny = 4 mg\n", b";") is None
+    objects = Pattern((), ("a", "b"))
+    assert objects.cells('{"b": 2, "a": 1}') == ["1", "2"]
+    assert objects.cells('{"b": 2}') == ["", "2"]
+    assert objects.cells('{"c": 2}') is objects.cells("{") is None
+    stated = Dialect(("time", "a", "b"), has_clock=True, decimal=",", separator=";", head=("a;b", "12:00:00 -> 1;2"))
+    assert stated.fields_of("12:00:01,5 -> 1;2,5") == "12:00:01.5;1;2,5"
+    assert stated.fields_of("1;2") == '"1;2"'
+    lines = ("12:00:01 -> ", "12:00:01 -> # x", "12:00:01 -> a;b", "12:00:01 -> 1;2")
+    assert [stated.no_row(line) for line in lines] == ["empty", "comment", "header", ""]
