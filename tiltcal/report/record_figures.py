@@ -50,7 +50,7 @@ _KINDS = {
 
 _NOISE = {"N": "white noise", "B": "flicker noise", "K": "random walk", "R": "drift"}
 
-_DASHES = {"N": "--", "B": ":", "K": "-.", "R": (0, (8, 3))}
+_DASHES = {"N": "--", "B": ":", "K": "-.", "R": "-"}
 _STAGES = (GREY, RED, BLUE)  # the colours of one accelerometer, the sum after p, the sum after p and q
 
 

@@ -15,7 +15,7 @@ from tiltcal.core.model import Array, Mounting, Thermal
 from tiltcal.errors import InputError, UsageError
 from tiltcal.files.calibration import CalibrationRecord, read_calibration
 from tiltcal.files.coefficients import Uncertainty
-from tiltcal.files.results import Provenance
+from tiltcal.files.results import FitRecord, Provenance
 from tiltcal.library.calibration import Calibration
 
 LEVEL = read_calibration(WITHOUT_PRIORS)
@@ -195,6 +195,48 @@ def test_what_names_no_sensor_or_no_time_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="there is no column 'time'"):
         library.apply(frame, serial="A")
     assert library.apply(frame, serial="A", start=stamp(0.0))["reason"].tolist() == [0, 0]
+
+
+def test_what_is_assumed_of_a_folder_is_said_in_whole_words(tmp_path: Path) -> None:
+    """The half width of 10 counts has a variance of 100 / 3 after 25 days: √1.33 of 819 counts in a day are 1.4 mg."""
+    said, a, b = (
+        list[str](),
+        "note: how far A wanders is not stated (--stability): ",
+        "note: how far B wanders is not stated ",
+    )
+    exact = [
+        "note: the file has no covariance: the coefficients count as uncorrelated",
+        "note: no uncertainty is stated of sensitivity.x.x, sensitivity.x.y, sensitivity.y.x, sensitivity.y.y: they "
+        "count as exact",
+    ]
+    bad = replace(
+        calibrated(0, (1000, 1000), serial="A"), fit=FitRecord(chi_square=99.0, degrees_of_freedom=2, p_value=1e-9)
+    )
+    kept(tmp_path, bad, calibrated(100, (1010, 1000), serial="A"), calibrated(0, (1000, 1000), serial="B"))
+    library = tiltcal.open_calibrations(tmp_path)
+    frame = {"time": seconds([1.0, 2.0])} | {f"{name}_{axis}": np.full(2, 1000.0) for name in "AC" for axis in "xy"}
+    library.apply(frame, uncertainty=True, say=said.append)
+    assert said == [
+        f"note: {tmp_path} has no calibration of 'C': its columns are left as they are",
+        "note: A-0.yaml: chi-square 99 with 2 degrees of freedom (probability 1e-09) is not credible: noise, jig or "
+        "thermometer are worse than stated, and the uncertainties are too small",
+        f"{a}its whole change between two calibrations counts, which suggests 1.4",
+        *exact,
+    ]
+    one = {"time": frame["time"], "x": frame["A_x"], "y": frame["A_y"]}
+    said.clear()
+    library.apply(one, serial="A", say=said.append)
+    assert not [line for line in said if "wanders" in line]
+    (tmp_path / "alone").mkdir()
+    alone = tiltcal.open_calibrations(kept(tmp_path / "alone", calibrated(0, (1000, 1000), serial="B")))
+    said.clear()
+    alone.apply(one, uncertainty=True, say=said.append)
+    only = f"note: the frame names no sensor; {tmp_path / 'alone'} has calibrations of B alone"
+    assert said == [only, f"{b}(--stability): no wandering counts", *exact]
+    noted = xarray.Dataset({name: ("row", column) for name, column in one.items()}, attrs={"serial": "B"})
+    with pytest.raises(UsageError) as refused:
+        library.apply(noted, serial="A")
+    assert str(refused.value) == "the frame states the serial number 'B', and serial says 'A': leave one out"
 
 
 def test_rows_without_any_time_are_refused_unless_they_have_no_readings(tmp_path: Path) -> None:

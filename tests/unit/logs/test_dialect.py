@@ -2,7 +2,9 @@
 
 import pytest
 
+from tiltcal.column_guess import guess
 from tiltcal.dialect import Dialect, Pattern, flattened, kind_of, labels_of, printed, split, without_clock, without_sum
+from tiltcal.logs.formats.csv_text import charset_of
 
 
 @pytest.mark.parametrize(
@@ -75,3 +77,29 @@ def test_fields_sums_patterns_and_objects() -> None:
     assert stated.fields_of("1;2") == '"1;2"'
     lines = ("12:00:01 -> ", "12:00:01 -> # x", "12:00:01 -> a;b", "12:00:01 -> 1;2")
     assert [stated.no_row(line) for line in lines] == ["empty", "comment", "header", ""]
+
+
+def test_the_encoding_of_text_without_a_mark() -> None:
+    """One byte that is damaged among several characters of UTF-8, and none among one; a wide one by its zeros."""
+    for data, encoding in (
+        (b"x,y\n1,2\n", "utf-8"),
+        ("°,µ,²".encode() + b"\xb0", "utf-8"),
+        ("°".encode() + b"\xb0", "cp1252"),
+        (b"20 \xb0C", "cp1252"),
+    ):
+        assert charset_of(data) == encoding, data
+
+
+def test_the_meaning_of_columns_by_names_lengths_and_numbers() -> None:
+    """Units that differ say nothing; three columns as long as gravity, or as a power of two of counts, are the axes."""
+    rows = ["0.1,0.2,9.8", "0.1,0.3,9.7", "0.2,0.1,9.8"]
+    for lines, roles, unit, per_g, by in (
+        (["ax (g),ay (g),az (g)", *rows], ("x", "y", "z"), "g", 0.0, "names"),
+        (["ax (g),ay (m/s2),az (g)", *rows], ("x", "y", "z"), "m/s2", 0.0, "names"),
+        (["7," + row for row in rows], ("-", "x", "y", "z"), "m/s2", 0.0, "length"),
+        (["1,20,4090", "3,20,4100", "2,10,4095"], ("x", "y", "z"), "count", 4096.0, "length"),
+        (["1,20,3000", "3,20,3010", "2,10,3001"], ("x", "y", "z"), "", 0.0, "number"),
+        (["1,2,3,4", "2,1,2,3", "1,2,2,3"], ("-", "-", "-", "-"), "", 0.0, "number"),
+    ):
+        found = guess(lines)
+        assert (found.roles, found.unit, found.per_g, found.by, found.example) == (roles, unit, per_g, by, lines[-1])

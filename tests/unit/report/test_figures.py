@@ -281,7 +281,7 @@ def test_the_allan_deviation(tmp_path: Path) -> None:
         draw_noise(tmp_path / "noise.svg", noises, NoiseScale("V", {"x": 2.0}))
     first, second, beside = kept["tiltcal"].axes
     assert kept["tiltcal"].get_size_inches().tolist() == [8.0, 8.2]
-    names = {"N": ("white noise", "--"), "B": ("flicker noise", ":"), "K": ("random walk", "-."), "R": ("drift", "--")}
+    names = {"N": ("white noise", "--"), "B": ("flicker noise", ":"), "K": ("random walk", "-."), "R": ("drift", "-")}
     for panel, (channel, noise) in zip((first, second), noises.items(), strict=True):
         assert words(panel) == ("averaging time [s]" if channel == "y" else "", f"Allan deviation of {channel} [V]")
         tau = np.geomspace(noise.tau[noise.terms.first], noise.tau[-1], 200)
