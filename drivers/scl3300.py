@@ -17,7 +17,7 @@ captured start-up agree on.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
+from functools import cache, partial
 from typing import NamedTuple
 
 from tiltcal.drivers.bus import Link, SpiPort, check_data_line, require_length
@@ -93,10 +93,15 @@ def crc8(head: bytes) -> int:
     """Return the CRC-8 of the first three bytes of a frame."""
     crc = 0xFF
     for byte in head:
-        crc ^= byte
-        for _ in range(8):
-            crc = (crc << 1 ^ 0x1D if crc & 0x80 else crc << 1) & 0xFF
+        crc = _shifted(crc ^ byte)
     return crc ^ 0xFF
+
+
+@cache
+def _shifted(crc: int) -> int:
+    for _ in range(8):
+        crc = (crc << 1 ^ 0x1D if crc & 0x80 else crc << 1) & 0xFF
+    return crc
 
 
 def decode(frame: bytes) -> Answer:

@@ -182,7 +182,7 @@ class ModelReading:
     @property
     def by_gravity(self) -> Array:
         """Derivatives by gravity, shape (n, 3), unit/g."""
-        along = np.outer(self.by_signal, self.sensitivity)
+        along = self.by_signal[:, None] * self.sensitivity
         return along if self.across is None else along + self.across
 
 
@@ -259,7 +259,7 @@ class ChannelModel:
             table[second : second + self.gain] = signal
             _multiply_by_powers(table[second : second + self.gain], dt)
             by_temperature = by_temperature + polynomial_slope(gain, dt) * signal
-        by_signal = np.broadcast_to(by_signal, signal.shape)
+        by_signal = np.full(signal.shape, by_signal)
         return ModelReading(value, table.T, by_signal, by_temperature, to_axes, across)
 
 

@@ -176,7 +176,7 @@ class Equations:
 
     def at(self, z: Array, bench: Bench, shortened: Array | float = 0.0) -> Linearised:
         """Linearise about the unknowns; uncertain attitudes shorten gravity on average by a share, (settings,)."""
-        shortened = np.broadcast_to(shortened, len(self.looser))
+        shortened = np.full(len(self.looser), shortened)
         up, by_angle, by_heading = self._directions(z, shortened)
         warmer, heading = z[self.errors[THERMOMETER]], self.errors[HEADING]
         n, residuals, sigmas, values = len(self.names), [], [], []
@@ -316,10 +316,9 @@ class Equations:
             places = np.array([self.places[one.position] for one in observations], dtype=np.intp)
             warmth = np.array([one.temperature or 0.0 for one in observations])
             errors = [met.setdefault((one.position, one.temperature or 0.0), len(met)) for one in observations]
-            mean, u, adc, dof = (
-                np.array([np.broadcast_to(getattr(one, name), len(design.channels)) for one in observations], float)
-                for name in ("mean", "u", "adc", "dof")
-            )
+            mean, u, adc, dof = np.empty((4, len(observations), len(design.channels)))
+            for row, one in enumerate(observations):
+                mean[row], u[row], adc[row], dof[row] = one.mean, one.u, one.adc, one.dof
             # Far below the others, and above the rounding of the arithmetic.
             size = np.maximum(np.ptp(mean, axis=0), 1e-6 * np.max(np.abs(mean), axis=0))
             least = 1e-9 * np.maximum(size, 1e-300)

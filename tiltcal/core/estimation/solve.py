@@ -133,22 +133,24 @@ def _solution(equations: Equations, bench: Bench, z: Array, near: Linearised) ->
 
 def _covariance(near: Linearised, moving: NDArray[np.bool_]) -> Array:
     """Return the covariance, shape (unknowns, unknowns), 0 for unknowns that are held or have no effect."""
-    covariance = np.zeros_like(near.normal)
-    some = np.flatnonzero(moving & (np.diag(near.normal) > 0.0))
-    covariance[np.ix_(some, some)] = _inverse(near.normal[np.ix_(some, some)])
+    covariance = np.zeros(near.normal.shape)
+    some = np.flatnonzero(moving & (near.normal.diagonal() > 0.0))
+    both = some[:, None], some
+    covariance[both] = _inverse(near.normal[both])
     return covariance
 
 
 def _inverse(normal: Array) -> Array:
     """Return the inverse of a normal matrix, its columns brought to one size."""
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
-    scaled = normal * np.outer(scale, scale)
+    scale = 1.0 / np.sqrt(np.maximum(normal.diagonal(), 1e-300))
+    scales = scale[:, None] * scale
+    scaled = normal * scales
     try:
         root = np.linalg.inv(np.linalg.cholesky(scaled))
         inverse = root.T @ root
     except np.linalg.LinAlgError:
         inverse = np.linalg.pinv(scaled, hermitian=True)
-    return np.asarray(inverse * np.outer(scale, scale))
+    return np.asarray(inverse * scales)
 
 
 def with_estimated(solution: Solution, source: str) -> Solution:
