@@ -20,6 +20,7 @@ from tiltcal.log_head import dialect_of
 from tiltcal.logs.formats import open_log
 from tiltcal.logs.log import LogClock
 
+WRITTEN = yaml.safe_load((ROOT / "tests" / "support" / "kinds_of_logs.yaml").read_text(encoding="utf-8"))
 TWO_DIGITS = "Arduino monitor", "labels, three kinds of line", "line of units"
 PER_G = {"g": 1.0, "mg": 1e3, "m/s2": 9.80665, "mm/s2": 9806.65}
 
@@ -39,6 +40,10 @@ def test_a_kind_is_probed_fitted_and_applied(kind: str, tmp_path: Path) -> None:
     assert np.abs(np.array(offsets) - OFFSET).max() < 1e-3
     summary = tiltcal("apply", "a.yaml", log, "-o", "out.parquet", "--json", cwd=tmp_path)
     assert json.loads(summary.stdout)["rows"] == len(READINGS), summary.stderr
+    above = KINDS[kind][0].splitlines()[: WRITTEN[kind]["head"][0]]
+    above = [line for place, line in enumerate(above) if place != WRITTEN[kind]["head"][1]]
+    noted = pl.read_parquet_metadata(tmp_path / "out.parquet").get("header")
+    assert noted == ("\n".join(line for line in above if line.strip()) or None)
     roles = {column["role"]: column["number"] - 1 for column in said["columns"] if column["role"]}
     roles |= {one[0]: int(one[2:]) - 1 for one in UNNAMED.get(kind, "").split(",") if one}
     where, time, per_g = [roles[axis] for axis in "xyz"], roles.get("time"), PER_G[found.sensor.unit]
@@ -53,9 +58,6 @@ def test_a_kind_is_probed_fitted_and_applied(kind: str, tmp_path: Path) -> None:
     layout = said["layout"]["rows from line"], said["layout"]["encoding"], said["layout"]["clock in front"]
     encoding = {"utf-16": "UTF-16", "cp1252": "Windows-1252"}.get(ENCODINGS.get(kind, ""), "UTF-8")
     assert layout == (KINDS[kind][0].count("\n") + 1, encoding, "yes" if kind == "Arduino monitor" else None)
-
-
-WRITTEN = yaml.safe_load((ROOT / "tests" / "support" / "kinds_of_logs.yaml").read_text(encoding="utf-8"))
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -38,6 +38,10 @@ REFUSED: dict[str, Callable[[], Any]] = {
     "skip_bad_rows is for logs: a frame has no row that cannot be parsed": applied(skip_bad_rows=True),
     "serial is for a folder of calibrations (calibrations)": applied(serial="S"),
     "average and every each say what belongs into a mean: give one of them": applied(average=2, every="1s"),
+    "declination is between -180 and 180 degrees, not 180.5": applied(magnetometer="x,y,z", declination=180.5),
+    "declination needs magnetometer or velocity": applied(declination=1.0),
+    "stability needs uncertainty": applied(stability=1.0),
+    "every takes a time such as 10s, 500ms, 5min or 1h, not 10q": applied(every="10q"),
     "columns -a has a minus, and signs belong to the calibration: name a; the file that was fitted turns it": (
         lambda: require_no_signs("x=-a,y=b", ["a", "b"])
     ),
