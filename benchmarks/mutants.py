@@ -176,10 +176,11 @@ class Reach:
 
     def tests(self, root: Path, place: Place) -> list[str]:
         """Return the tests that reach the line of a place, the quickest first, or those of its function."""
-        measured = next((one for one in self._data.measured_files() if one.endswith(f"/{place.file}")), None)
-        if measured is None:
-            return []
-        contexts = self._data.contexts_by_lineno(measured)
+        contexts: dict[int, list[str]] = defaultdict(list)
+        for measured in self._data.measured_files():  # each map was recorded in a folder of its own
+            if measured.endswith(f"/{place.file}"):
+                for line, found in self._data.contexts_by_lineno(measured).items():
+                    contexts[line] += found
         body = function_of((root / place.file).read_text(encoding="utf-8"), place.line)
         names: set[str] = set()
         for first, last in ((place.line, place.line), body):
