@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -326,7 +327,12 @@ def _names(coefficients: Coefficients) -> list[str]:
 
 
 def _places(coefficients: Coefficients, names: Sequence[str]) -> list[int]:
-    known = {name: place for place, name in enumerate(_names(coefficients))}
+    return _places_among(coefficients.models, tuple(names))
+
+
+@lru_cache(64)
+def _places_among(models: tuple[ChannelModel, ...], names: tuple[str, ...]) -> list[int]:
+    known = {name: place for place, name in enumerate(name for model in models for name in model.coefficients)}
     for name in names:
         if name not in known:
             raise EstimateError(f"the calibration has no coefficient {name!r}")
