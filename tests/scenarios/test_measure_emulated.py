@@ -18,7 +18,6 @@ from support.warm_start import WarmStart
 
 from tiltcal.drivers.virtual import Truth
 from tiltcal.files.calibration import CalibrationRecord, read_calibration
-from tiltcal.files.procedure import find_procedure
 from tiltcal.journal.lines import Journal
 from tiltcal.library.replay import replay
 
@@ -114,32 +113,3 @@ def test_six_face_on_spi_and_on_i2c(warm: WarmStart, tmp_path: Path) -> None:
             # The part's own thermometer: 24 °C is raw 257.8, sent as 258, read as 24.1 °C.
             assert [position.temperature for position in found.positions] == pytest.approx([24.11] * 6, abs=0.01)
         (tmp_path / "S-0042.yaml").unlink()  # the calibration of another model is never replaced
-
-
-BY_HAND = replace(SCA3000, jig=6.0, seed=8)
-
-
-def angles(sensitivity: np.ndarray) -> np.ndarray:
-    """Between the rows x and y, x and z, y and z, degrees."""
-    rows = sensitivity / np.linalg.norm(sensitivity, axis=1, keepdims=True)
-    return np.degrees(np.arccos([rows[0] @ rows[1], rows[0] @ rows[2], rows[1] @ rows[2]]))
-
-
-def test_positions_that_nobody_sets(warm: WarmStart, tmp_path: Path) -> None:
-    """Several degrees beside each position. What does not depend on how the part lay comes out right: the offsets,
-    the length of each row of the sensitivity matrix, and the angles between the rows."""
-    free = ("--settle", "0.12", "--samples", "40", *SCA3000_ON_SPI)
-    with run_on(program(warm.program, "free", tmp_path, *free), BY_HAND, "sca3000-d01") as bench:
-        told = bench.lead()
-        assert bench.exit_code == 0, bench.errors()
-    accepted = [one["position"] for one in told if one.get("event") == "accepted"]
-    assert accepted == [position.name for position in find_procedure("free").positions]
-    found = read_calibration(tmp_path / "S-0042.yaml")
-    sensitivity, (offset, rows) = found.coefficients.sensitivity, coefficients(BY_HAND)
-    true = np.array(rows)
-    # 1.5 count over 40 samples is 0.24 count; six positions tell of each unknown.
-    np.testing.assert_allclose(found.coefficients.offset, offset, atol=0.6)
-    np.testing.assert_allclose(np.linalg.norm(sensitivity, axis=1), np.linalg.norm(true, axis=1), atol=0.8)
-    np.testing.assert_allclose(angles(sensitivity), angles(true), atol=0.05)
-    assert found.derived.mounting.startswith("undetermined")
-    assert (found.fit.distinct_attitudes, found.fit.degrees_of_freedom) == (18, 18 - 9)

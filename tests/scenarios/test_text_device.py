@@ -129,18 +129,6 @@ def test_no_damaged_late_doubled_or_foreign_answer_becomes_a_reading(tmp_path: P
     sensor = model_named(str(tmp_path / "box.yaml")).driver(line, line.clock)
     assert sum(line.agrees(sensor) for _ in range(200)) > 60
     assert sensor.link_statistics()["damaged"] > 30
-    # And on a real line, at the device's own pace.
-    few = Unsound(
-        text is SUMMED, ("right", "late", "right", "right", "foreign", "doubled", "right", "damaged", "right", "right")
-    )
-    with answering(few.answer) as path, open_sensor(str(tmp_path / "box.yaml"), f"serial://{path}") as real:
-        assert [few.agrees(real) for _ in range(5)] == [
-            True,
-            False,
-            True,
-            True,
-            True,
-        ]  # a damaged answer is asked again
 
 
 def test_a_device_is_probed_measured_and_replayed_by_its_file_alone(tmp_path: Path) -> None:

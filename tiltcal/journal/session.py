@@ -181,8 +181,7 @@ class RecordedSession(TakenPositions):
 
         A row of NaN is a break, in which a device failed or the session was interrupted.
         """
-        width = 0 if self._channels is None else 2 + len(self._channels.columns)
-        return np.array(self._rows).reshape(-1, width)
+        return np.array(self._rows).reshape(-1, 2 + len(self.setup.stage_channels().columns))
 
     def ramp_records(self) -> dict[str, RampRecord]:
         """Return the record of a ramp of each sensor, by serial number; empty of other procedures.

@@ -77,8 +77,8 @@ def test_the_attitude_is_that_which_the_reference_reads(
 
 def test_what_no_attitude_has_is_no_reading() -> None:
     sample = Sample()
-    sample.reference = Reading((80.0, 20.0))
-    with pytest.raises(InputError, match=r"^the reference reads 80, 20, which no attitude has$"):
+    sample.reference = Reading((72.0, 20.0))
+    with pytest.raises(InputError, match=r"^the reference reads 72, 20, which no attitude has$"):
         set_by(reference(), POSITION, [sample])
 
 

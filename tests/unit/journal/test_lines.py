@@ -1,6 +1,7 @@
 """The journal survives any truncation, and shows any change."""
 
 import errno
+import hashlib
 import json
 import os
 import zlib
@@ -11,7 +12,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from tiltcal.errors import JournalError, UsageError
-from tiltcal.journal.lines import Event, Journal, JournalWriter
+from tiltcal.journal.lines import Journal, JournalWriter
 
 EVENTS = [
     (48000, "s", "100000", "008f20"),
@@ -45,26 +46,25 @@ def whole(path: Path) -> Journal:
     return journal
 
 
-def test_what_was_written_is_read(path: Path) -> None:
-    captured(path)
-    journal = whole(path)
-    assert journal.header["serial"] == "Ä-1"
-    events = list(Journal(path))
-    assert [(event.dt_ns, event.kind, *event.payload) for event in events] == EVENTS
-    assert events[0] == Event(2, 48000, "s", ("100000", "008f20"))
-    assert journal.ended
-    assert not journal.torn
-
-
-def test_the_check_is_a_running_crc32_of_the_lines_without_it(path: Path) -> None:
-    """Computed here with the standard library from the documented format."""
-    data = captured(path, finished=False)
-    running = 0
-    for line in data.decode().splitlines():
+def test_what_was_written_is_read_and_its_check_is_a_running_crc32(path: Path) -> None:
+    """Of the lines without it; computed here with the standard library from the documented format."""
+    data = captured(path)
+    journal = Journal(path)
+    assert [(event.line, event.dt_ns, event.kind, *event.payload) for event in journal] == [
+        (number, *event) for number, event in enumerate(EVENTS, start=2)
+    ]
+    assert (journal.header["serial"], journal.ended, journal.torn, journal.coming) == ("Ä-1", True, False, None)
+    running, before, last = 0, b"", data.splitlines(keepends=True)[-1]
+    for line in data.splitlines(keepends=True):
         value = json.loads(line)
         check = value.pop("check") if isinstance(value, dict) else value.pop()
         running = zlib.crc32(json.dumps(value, ensure_ascii=False, separators=(",", ":")).encode(), running)
         assert check == f"{running:08x}"
+        if line != last:
+            before += line
+    end = {"events": len(EVENTS), "sha256": hashlib.sha256(before).hexdigest()}
+    assert value == [3, "end", end]
+    assert journal.sha256 == end["sha256"]
 
 
 def test_every_truncation_gives_the_whole_lines_before_it(path: Path) -> None:
@@ -112,13 +112,6 @@ def test_resumed_it_is_the_journal_of_a_session_that_was_never_stopped(path: Pat
     assert path.read_bytes() == never_stopped
 
 
-def test_an_existing_journal_is_never_overwritten(path: Path) -> None:
-    content = captured(path)
-    with pytest.raises(UsageError, match="resume it with resume"):
-        JournalWriter.create(path, {})
-    assert path.read_bytes() == content
-
-
 def test_two_programs_cannot_write_one_journal(path: Path) -> None:
     writer = JournalWriter.create(path, {})
     with pytest.raises(JournalError, match="another tiltcal"):
@@ -127,7 +120,12 @@ def test_two_programs_cannot_write_one_journal(path: Path) -> None:
     JournalWriter.resume(whole(path)).close()
 
 
-def test_a_link_in_place_of_the_journal_is_not_followed(path: Path) -> None:
+def test_an_existing_journal_is_never_overwritten_nor_a_link_in_its_place_followed(path: Path) -> None:
+    content = captured(path)
+    with pytest.raises(UsageError, match="resume it with resume"):
+        JournalWriter.create(path, {})
+    assert path.read_bytes() == content
+    path.unlink()
     path.symlink_to(path.with_name("elsewhere"))
     with pytest.raises(UsageError, match="exists"):
         captured(path)

@@ -121,3 +121,21 @@ def test_a_mean_that_the_recorded_bytes_do_not_give_is_refused(tmp_path: Path) -
             JournalError, match=rf"jsonl:{number + 1}: accepts .* as {channel} of {serial}, and its sam"
         ):
             replay(path)
+
+
+@pytest.mark.parametrize(
+    ("place", "value", "holds"),
+    [(1, "r", "r 0800 d5aa"), (2, "0900", "s 0900 d5aa"), (4, 1, "s 0800 d5aa 1"), (4, 0, "s 0800 d5aa 0")],
+)
+def test_a_request_that_the_driver_does_not_make_is_named(
+    place: int, value: object, holds: str, tmp_path: Path
+) -> None:
+    """Of another bus, other bytes, or another device, which is written only where it is not the first one."""
+    lines = lines_of("plane")
+    number = next(number for number, line in enumerate(lines) if number and line[1:] == ["s", "0800", "d5aa"])
+    changed = [*lines[number], 0][: 5 if place == 4 else 4]
+    changed[place] = value
+    path = written(tmp_path / "plane.journal.jsonl", [*lines[:number], changed, *lines[number + 1 :]])
+    why = f"jsonl:{number + 1}: the journal holds '{holds}' where the driver sends s 0800: another version"
+    with pytest.raises(JournalError, match=why):
+        replay(path)
