@@ -4,6 +4,7 @@ from math import log, pi, sqrt
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 from support import coloured_noise as coloured
 
 from tiltcal.core.noise import (
@@ -13,6 +14,7 @@ from tiltcal.core.noise import (
     allan_variance,
     characterise,
     degrees_of_freedom,
+    kinds_of_noise,
     limits,
     sample_size,
     sample_size_by_range,
@@ -51,16 +53,11 @@ def test_the_allan_deviation_is_that_of_allantools() -> None:
     assert np.sqrt(variance[6:]) == pytest.approx(deviation[6:], rel=0.02)
 
 
-def test_the_limits_hold_the_truth() -> None:
-    """95 % of 400 records, at every averaging time."""
-    inside = np.zeros(8)
-    for seed in range(400):
-        factor, variance = allan_variance(white(1024, seed=seed))
-        low, high = limits(variance, np.array([degrees_of_freedom("white", 1024, m) for m in factor.tolist()]))
-        truth = 1.0 / np.sqrt(factor)
-        inside += ((low <= truth) & (truth <= high))[:8]
-    # Four standard deviations of a share of 95 % in 400 are 4.4 %.
-    assert (inside / 400).tolist() == pytest.approx([0.95] * 8, abs=0.045)
+def test_the_limits_are_those_of_chi_square_and_one_octave_follows_any_term() -> None:
+    variance, dof = np.array([0.04, 0.01]), np.array([3.0, 80.0])
+    expected = [np.sqrt(dof * variance / chi2.ppf(tail, dof)) for tail in (0.975, 0.025)]
+    np.testing.assert_allclose(limits(variance, dof), expected, rtol=1e-12)
+    assert kinds_of_noise(np.array([DT]), variance[:1], np.array([1]), 64).follows
 
 
 def test_kinds_of_noise() -> None:

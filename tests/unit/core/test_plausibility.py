@@ -98,5 +98,8 @@ def test_what_prints_angles_is_judged_in_g(slope: float, euler: bool) -> None:
     x, y = asin(up[0]), asin(up[1] / (cos(asin(up[0])) if euler else 1.0))
     near = [unit * (tan(angle) if slope else angle) for angle in (x, y)]
     assert known.distance(up, np.array(near), None) == pytest.approx(0.0, abs=1e-9)
+    if not slope and not euler:  # beyond 90° it is 90°
+        for side in (1.0, -1.0):
+            assert known.distance((side, 0.0, 0.0), np.array([side * 2.5 * unit, 0.0]), None) == pytest.approx(0.0)
     alone = [unit * (tan(asin(one)) if slope else asin(one)) for one in up[:2]]
     assert list(known.expected(up).values()) == pytest.approx(alone)

@@ -19,7 +19,9 @@ from tiltcal.core.estimation.positions import Design, Observation, SensorObserva
 from tiltcal.core.model import AXES, Array, Coefficients, Mounting, vector_of
 from tiltcal.core.noise import characterise, kinds_of_noise
 from tiltcal.core.pair.demodulate import demodulate
-from tiltcal.core.pair.stage import estimate_spin, estimated_angle, stage_record
+from tiltcal.core.pair.matching import solve
+from tiltcal.core.pair.model import Pair
+from tiltcal.core.pair.stage import estimate_spin, estimated_angle, follow, stage_record
 from tiltcal.core.ramp.record import RampRecord, legs_of, ramp_record
 from tiltcal.core.uncertain import Uncertain
 from tiltcal.errors import EstimateError, InputError
@@ -51,6 +53,12 @@ def doubted(name: str) -> CompensationWithUncertainty:
 def spin(seconds: float, gap: float = 0.0, **made: Any) -> None:
     taken = disk.record(seconds=seconds, **made)
     estimate_spin(taken.time + gap * (taken.time > seconds / 2.0), taken.readings)
+
+
+def matched(first: str, second: str, orthogonal: str, a4: float = 3.39, a1: float = 3.383) -> None:
+    taken = disk.record(seconds=40.0, start=30.0, scale=(a1, 3.415, 3.402, a4))
+    record = demodulate(disk.NAMES, follow(taken.theta), taken.readings.T, np.ones(len(taken.theta), bool))
+    solve(record, Pair(first, second, orthogonal))
 
 
 def ramp(time: list[float], temperature: list[float], step: float = 0.0) -> RampRecord:
@@ -109,6 +117,15 @@ REFUSED: list[tuple[Callable[[], object], type[Exception], str]] = [
     (lambda: stage_record("a", np.full(3, nan), [UP[0]]).turns, EstimateError, "the record has 0.00 turns"),
     (lambda: estimated_angle(np.full(3, nan), [UP[0]]), EstimateError, "no row has a time"),
     (lambda: estimated_angle(UP[0], [np.full(3, nan)]), EstimateError, "no row of the record has all readings"),
+    (lambda: matched("a1", "a4", "a2"), EstimateError, "a2 is not orthogonal to a1: their phases are less than 6°"),
+    (
+        lambda: matched("a1", "a3", "a4"),
+        EstimateError,
+        r"a3 answers with -?0.0\d* of what a1 .* see that it is connected",
+    ),
+    (lambda: matched("a1", "a1", "a4"), EstimateError, r"p is 2.0000.* it sits opposite a1 with the same polarity"),
+    (lambda: matched("a1", "a2", "a4", a4=0.33), EstimateError, "a4 has 0.3.* it cannot correct a misalignment"),
+    (lambda: matched("a1", "a2", "a4", a1=0.0), EstimateError, "a1 has no clear signal at the spin frequency"),
     (lambda: spin(80.0, scale=(0.0,) * 4), EstimateError, "no spectral line is above the noise"),
     (lambda: spin(10.0), EstimateError, r"turns 1.\d\d times in it: .* less than 2 turns"),
     (lambda: spin(0.2), EstimateError, "too short"),
