@@ -189,15 +189,17 @@ class ColumnLayout:
                 return [(key, cell.strip()) for key, cell in flattened(json.loads(text)).items()]
             except (ValueError, RecursionError):
                 return []
-        texts, numbers = printed(text)
+        texts, numbers = printed(text) if any(map(str.isalpha, text)) else ([], [])
         if any(character.isalpha() for around in texts for character in around):  # labels or units
             # A number with something stuck to it is none.
             sound = not any(character.isdigit() for around in texts for character in _WORD.sub("", around))
             if sound and len(numbers) == len(self.names):
                 return list(zip(labels_of(texts), numbers, strict=True))
         # A column that is skipped may hold words, or the clock.
-        split = [re.split(self.separator.decode(), one) for one in (text, whole)]
-        return [("", cell.strip()) for cell in split[len(split[0]) < len(self.names)]]
+        cells = re.split(self.separator.decode(), text)
+        if len(cells) < len(self.names):
+            cells = re.split(self.separator.decode(), whole)
+        return [("", cell.strip()) for cell in cells]
 
     def line(self, numbers: Mapping[str, float]) -> bytes:
         """Return the line that shows these numbers, by the names of their columns; a column without one shows 0."""

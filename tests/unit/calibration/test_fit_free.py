@@ -76,7 +76,7 @@ def test_sway_of_the_hand_is_no_noise_of_the_length_of_gravity(sway: float, memo
 def test_two_attitudes_of_24_that_are_off_by_300_mg_are_left_out_and_named() -> None:
     """They were fitted, 66 mg wrong in the median."""
     named = 0
-    for seed in range(30):
+    for seed in range(15):
         up = Rotation.random(random_state=seed).apply(sphere(24))
         found = fitted(up, 3e-4, seed, {5: [0.3, 0.0, 0.0], 17: [0.0, -0.3, 0.0]})
         if set(found.fit.left_out_mg) == {"p5", "p17"}:
@@ -86,7 +86,7 @@ def test_two_attitudes_of_24_that_are_off_by_300_mg_are_left_out_and_named() -> 
             assert "left out, because the length of gravity does not agree with the other attitudes: p5 (" in str(found)
             assert len(found.positions) == 24
             assert set(found.fit.residuals) == {f"p{n}" for n in range(24)} - {"p5", "p17"}
-    assert named >= 28
+    assert named >= 14
 
 
 @pytest.mark.parametrize(
