@@ -1,5 +1,6 @@
 """The figures show what their files and logs hold: their lines, marks and words as matplotlib has them."""
 
+import re
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -31,6 +32,7 @@ from tiltcal.report.record_figures import (
     draw_noise,
     log_figure,
 )
+from tiltcal.report.tables import distribution_table
 
 INK, GREY, BLUE, RED, GREEN = "#000000", "#8a8a8a", "#1f6f8b", "#c0504d", "#4f6228"
 LOOKS = {"x": (BLUE, "o", "-"), "y": (RED, "s", "--"), "z": (GREEN, "^", ":")}
@@ -377,6 +379,12 @@ def test_a_fleet(tmp_path: Path) -> None:
     assert hollow.get_markersize() > 1.5 * gradient.lines[2].get_markersize()
     assert [one.get_text() for one in gradient.texts] == ["U-07"]
     assert gradient.get_ylim() == (0.6, -0.6)
+    cells = [[re.sub("<.*?>", "", cell) for cell in column.cells] for column in distribution_table(fleet).columns]
+    table = {row[0]: row[2:] for row in zip(*cells, strict=True)}
+    numbers = (f"{quarters[1]:.2f}", f"{spread:.2f}", f"{values.min():.2f}", "9.00")
+    assert table["Drift of offset x, ΔT"] == (*numbers, "count/°C", "U-07")
+    alike = f"{own['sensitivity']['x']['x']:.4g}"  # in the whole fleet
+    assert table["Sensitivity of x"] == (alike, "0", alike, alike, "count/g", "")
     shown, panels = pictured(lambda: change_figure(fleet, 1), "drift-1")
     assert [one.get_title() for one in panels] == ["x", "y"]
     assert words(panels[0]) == ("", "change of the offset [mg]")
