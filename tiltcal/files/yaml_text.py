@@ -50,7 +50,7 @@ def dotted(place: Place) -> str | None:
 
 def is_sent(place: Place) -> bool:
     """Return whether a text of a device file goes over a line, in a file of its own or as the key ``device``."""
-    return place[-1] in SENT and place[-2:-1] in ((), ("device",)) if place else False
+    return bool(place) and place[-1] in SENT and (len(place) == 1 or place[-2] == "device")
 
 
 def read_text(path: str | Path) -> str:

@@ -60,7 +60,7 @@ class LogFacts:
         return "\n".join(self._lines())
 
     def _lines(self) -> Iterator[str]:
-        place = ", ".join(f"{key} {value}" for key, value in self.layout.items() if value not in (None, "", 0))
+        place = ", ".join(f"{key} {value}" for key, value in self.layout.items() if value)
         yield f"{self.log}: {place}"
         for column in self.columns:
             unit = f"[{column['unit']}] by {column['unit_from']}" if column["unit"] else ""

@@ -198,8 +198,14 @@ def test_large_file_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "large.yaml"
     path.touch()
     os.truncate(path, 1 << 30)
-    with pytest.raises(InputError, match="too large: at most 4,000,000 bytes"):
-        read_document(path)
+    for place, said in (
+        (path, "the file is too large: at most 4,000,000 bytes are read"),
+        (tmp_path, "this is a folder; name a file in it"),
+        (tmp_path / "absent.yaml", "no such file"),
+    ):
+        with pytest.raises(InputError) as refused:
+            read_document(place)
+        assert str(refused.value) == f"{place}: {said}"
 
 
 def test_file_that_is_not_utf8_names_the_line(tmp_path: Path) -> None:
@@ -328,3 +334,12 @@ def test_control_characters_are_no_text_and_no_key() -> None:
             assert str(caught.value).isprintable()
     with pytest.raises(InputError, match="control"):
         document_of([{"a\x1b[2J": 1}])
+    # What a text device is sent may hold them, in its file and in the key ``device``, and nowhere else.
+    for text in ('ask: "\\x02R"', 'ends: "\\x02"', 'a: [{device: {answer: "\\x02"}}]'):
+        parse_document(text)
+    for text, key in (
+        ('a: {ask: "\\x02"}', "a.ask"),
+        ('device: "\\x02"', "device"),
+        ('device: {a: "\\x02"}', "device.a"),
+    ):
+        assert complaint(text).key == key

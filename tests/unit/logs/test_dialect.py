@@ -103,3 +103,5 @@ def test_the_meaning_of_columns_by_names_lengths_and_numbers() -> None:
     ):
         found = guess(lines)
         assert (found.roles, found.unit, found.per_g, found.by, found.example) == (roles, unit, per_g, by, lines[-1])
+    for lines in ([], ["hello"], ["a,b", "c,d"]):
+        assert guess(lines) == ((), "", 0.0, "", "")
