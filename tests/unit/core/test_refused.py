@@ -56,8 +56,8 @@ def spin(seconds: float, gap: float = 0.0, **made: Any) -> None:
 
 
 def matched(first: str, second: str, orthogonal: str, a4: float = 3.39, a1: float = 3.383) -> None:
-    taken = disk.record(seconds=40.0, start=30.0, scale=(a1, 3.415, 3.402, a4))
-    record = demodulate(disk.NAMES, follow(taken.theta), taken.readings.T, np.ones(len(taken.theta), bool))
+    taken = disk.record(seconds=40.0, scale=(a1, 3.415, 3.402, a4))
+    record = demodulate(disk.NAMES, follow(taken.theta + 40.0), taken.readings.T, np.ones(len(taken.theta), bool))
     solve(record, Pair(first, second, orthogonal))
 
 
