@@ -1,6 +1,7 @@
 """Every number that decides something stands a second time in ``thresholds.yaml``: a changed one is a decision."""
 
 import ast
+import math
 from collections import defaultdict
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,11 @@ ROOT = Path(__file__).resolve().parents[2]
 TABLE: dict[str, dict[str, Any]] = yaml.safe_load(Path(__file__).with_name("thresholds.yaml").read_text("utf-8"))
 KEYS: dict[str, dict[str, Any]] = TABLE.pop("keys")
 
-NUMBERS = (ast.Constant, ast.Tuple, ast.Load, ast.UnaryOp, ast.unaryop, ast.BinOp, ast.operator)
+NUMBERS = (ast.Constant, ast.Tuple, ast.Load, ast.UnaryOp, ast.unaryop, ast.BinOp, ast.operator, ast.Call)
+
+
+def is_number(node: ast.AST) -> bool:
+    return isinstance(node, NUMBERS) or (isinstance(node, ast.Name) and node.id in vars(math))
 
 
 def constants(package: str) -> dict[str, list[Any]]:
@@ -21,9 +26,9 @@ def constants(package: str) -> dict[str, list[Any]]:
     found = defaultdict(list)
     for path in sorted((ROOT / package).rglob("*.py")):
         for statement in ast.parse(path.read_text("utf-8")).body:
-            if isinstance(statement, ast.Assign) and all(isinstance(one, NUMBERS) for one in ast.walk(statement.value)):
+            if isinstance(statement, ast.Assign) and all(map(is_number, ast.walk(statement.value))):
                 names = [one.id for one in ast.walk(statement.targets[0]) if isinstance(one, ast.Name)]
-                number = eval(ast.unparse(statement.value))
+                number = eval(ast.unparse(statement.value), vars(math))
                 for name, one in zip(names, number if len(names) > 1 else [number], strict=True):
                     found[name].append(list(one) if isinstance(one, tuple) else one)
     return found
