@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 from math import hypot, radians, sqrt
 from typing import Any
@@ -95,8 +96,12 @@ def predict(
     orientation: Orientation = STRAIGHT,
     sensors: int = 1,
     base: CalibrationRecord | None = None,
+    proposing: bool = True,
 ) -> Plan:
-    """Predict the standard uncertainty of every coefficient equal sensors reach; no stated jig is a perfect one."""
+    """Predict the standard uncertainty of every coefficient equal sensors reach; no stated jig is a perfect one.
+
+    What is worth adding is looked for where ``proposing``, which takes most of the time.
+    """
     samples, scatter = samples or procedure.samples, _usual_noise(model) if noise is None else noise
     seconds = procedure.least_seconds(samples, model.interval, settle or procedure.settle, done=0)
     match procedure:
@@ -110,9 +115,8 @@ def predict(
     design, drift = design_of(identity, procedure, bench, nominal=model, base=base), _usual_drift(model, base)
     kept = _usable(procedure, identity)
     planned = _planned(kept, design, model, orientation, scatter, samples)
-    found = predict_uncertainty(
-        design, planned, sensitivity=model.sensitivity, drift=drift, sensors=sensors, level=procedure.renews
-    )
+    expected = partial(predict_uncertainty, design, sensitivity=model.sensitivity, sensors=sensors)
+    found = expected(planned, drift=drift, level=procedure.renews, proposing=proposing)
     limits = Limits(covered_tilts(design.channels, [position.gravity.tolist() for position in planned]))
     tilts = half_widths(found.coefficients, found.uncertain, limits)
     by_count = dict[int, float]()
@@ -120,7 +124,7 @@ def predict(
         usual = find_procedure(SIXTEEN, procedure.angle).in_positions().positions[len(kept) :]
         further = [*planned, *_planned(usual, design, model, orientation, scatter, samples)] if usual else planned
         for count in sorted({len(kept), *(count for count in INCLINATIONS if count > len(kept))}):
-            reached = predict_uncertainty(design, further[:count], sensitivity=model.sensitivity, sensors=sensors)
+            reached = expected(further[:count], proposing=False)
             halves = half_widths(reached.coefficients, reached.uncertain, limits)
             by_count[count] = max(float(halves[axis][1].max()) for axis in bench.instrument.axes)
     headings = {(position.heading or 0.0) % 360.0 for position in procedure.positions}

@@ -323,6 +323,7 @@ def _predict(setup: Setup, remark: Callable[[str], None]) -> None:
             orientation=device.orientation,
             sensors=len(setup.sensors),
             base=None if base is None else base.calibration,
+            proposing=False,
         )
         more = "" if expected.data.get("degrees_of_freedom", 1) else "; no residuals are left to check the result"
         remark(f"{device.model}: {expected.brief}{more}; tiltcal plan says the rest")

@@ -143,13 +143,14 @@ def predict_uncertainty(
     drift: float = 0.0,
     sensors: int = 1,
     level: bool = False,
+    proposing: bool = True,
 ) -> Prediction:
     """Compute the uncertainty that a planned session will reach for each of some equal sensors.
 
     A jig that is not stated counts as perfect. ``positions`` have the uncertainties of their means, whatever these are;
     ``sensitivity`` is nominal, unit/g; ``drift`` is that of a usual part, unit/°C, by which an error of the thermometer
-    counts; of a ``level`` procedure no other direction is proposed. An EstimateError names coefficients that the plan
-    leaves undetermined, and a position that would determine them.
+    counts; of a ``level`` procedure no other direction is proposed, and nothing where not ``proposing``. An
+    EstimateError names coefficients that the plan leaves undetermined, and a position that would determine them.
     """
     sensitivity = sensitivity if design.angles is None else design.angles.per_degree(sensitivity)
     nominal = {
@@ -174,7 +175,7 @@ def predict_uncertainty(
     uncertain, dof = reached(positions)
     fixed = (uncertain.u == 0.0) | np.array([name in design.priors for name in design.names])
     worth = []
-    for candidate in _worth_trying(design, positions, level=level):
+    for candidate in _worth_trying(design, positions, level=level) if proposing else ():
         u, _ = reached([*positions, candidate])
         share = np.where(fixed, 1.0, u.u / np.where(uncertain.u > 0.0, uncertain.u, 1.0))
         most = int(np.argmin(np.round(share, 6)))
