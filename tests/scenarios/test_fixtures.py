@@ -43,8 +43,7 @@ def test_every_shipped_procedure_has_a_fixture() -> None:
 
 @pytest.mark.parametrize("journal", JOURNALS, ids=lambda path: path.name)
 def test_replay_gives_the_golden_file(journal: Path, tmp_path: Path) -> None:
-    result = tiltcal("replay", journal, "-o", "again.yaml", cwd=tmp_path)
-    assert result.returncode == 0, result.stderr
+    tiltcal("replay", journal, "-o", "again.yaml", cwd=tmp_path, code=0)
     again, expected = (path.read_text(encoding="utf-8") for path in (tmp_path / "again.yaml", golden(journal)))
     assert NUMBER.split(again) == NUMBER.split(expected)
     assert '"virtual":true' in journal.read_text(encoding="utf-8").splitlines()[0]
@@ -56,8 +55,7 @@ def test_replay_gives_the_golden_file(journal: Path, tmp_path: Path) -> None:
 def test_the_samples_of_a_session_are_a_log_that_gives_its_means(tmp_path: Path) -> None:
     """Averaged apart from the session: the last rows before each position was accepted."""
     journal = FIXTURES / "plane.journal.jsonl"
-    result = tiltcal("replay", journal, "--samples", "log.csv", "-o", "again.yaml", cwd=tmp_path)
-    assert result.returncode == 0, result.stderr
+    tiltcal("replay", journal, "--samples", "log.csv", "-o", "again.yaml", cwd=tmp_path, code=0)
     with open(tmp_path / "log.csv", newline="") as stream:
         rows = list(csv.DictReader(stream))
     for position in read_calibration(golden(journal)).positions:
@@ -68,14 +66,14 @@ def test_the_samples_of_a_session_are_a_log_that_gives_its_means(tmp_path: Path)
 
 def test_the_result_of_a_rotation_is_that_of_its_samples_as_a_log(tmp_path: Path) -> None:
     journal = FIXTURES / "rotation.journal.jsonl"
-    assert tiltcal("replay", journal, "--samples", "log.csv", "-o", "again.yaml", cwd=tmp_path).returncode == 0
+    tiltcal("replay", journal, "--samples", "log.csv", "-o", "again.yaml", cwd=tmp_path, code=0)
     kept = read(golden(journal)).record.matchings[0]
     for how, within in (((), 1e-3), (("--online",), 4.0)):
         result = tiltcal(
             *("match", "log.csv", "--pair", "a1,a2", "--orthogonal", "a4", "--phase", "theta", *how, "--json"),
             cwd=tmp_path,
+            code=0,
         )
-        assert result.returncode == 0, result.stderr
         found = json.loads(result.stdout)
         assert abs(found["p"] - kept.p) < within * kept.u_p
         assert abs(found["q"] - kept.q) < within * kept.u_q

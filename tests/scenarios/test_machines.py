@@ -95,8 +95,7 @@ def test_a_night_without_a_person_and_with_a_power_cut(tmp_path: Path) -> None:
     pytest.importorskip("pymodbus", reason="the pymodbus package is not installed")
     options = (*QUICK[:4], "--samples", "10", "--settle", "0.05")
     with machines(tmp_path) as table:
-        done = tiltcal("measure", "temperature-sweep", *options, cwd=tmp_path)
-        assert done.returncode == 0, done.stderr
+        done = tiltcal("measure", "temperature-sweep", *options, cwd=tmp_path, code=0)
         said = [json.loads(line) for line in done.stdout.splitlines()]
         assert not [one for one in said if "ask" in one]
         assert [one["position"] for one in said if one.get("event") == "accepted"][-1] == "back-24"
@@ -107,8 +106,7 @@ def test_a_night_without_a_person_and_with_a_power_cut(tmp_path: Path) -> None:
         journal = tmp_path / "bench.journal.jsonl"
         os.truncate(journal, int(0.55 * journal.stat().st_size))
         table.switch_on()
-        resumed = tiltcal("measure", "--resume", journal, "--operator", "json", cwd=tmp_path)
-        assert resumed.returncode == 0, resumed.stderr
+        resumed = tiltcal("measure", "--resume", journal, "--operator", "json", cwd=tmp_path, code=0)
         again = [json.loads(line) for line in resumed.stdout.splitlines()]
         assert 1 < len([one for one in again if one.get("event") == "accepted"]) < 9
     for number in range(2):
@@ -118,7 +116,7 @@ def test_a_night_without_a_person_and_with_a_power_cut(tmp_path: Path) -> None:
         for channel, drift in zip("xy", calibration.coefficients.thermal.drift[:, 0], strict=True):
             u = calibration.uncertainty[f"temperature.offset.{channel}.1"]
             assert abs(drift - truth.drift[channel][0]) < 4 * u
-        assert tiltcal("diff", f"whole-{number}.yaml", f"A-{number}.yaml", cwd=tmp_path).returncode == 0
+        tiltcal("diff", f"whole-{number}.yaml", f"A-{number}.yaml", cwd=tmp_path, code=0)
 
 
 class Person(Operator):
@@ -323,8 +321,7 @@ def measured(
 ) -> list[str]:
     """Measure with the machines of a bench file, and return the positions for which a program was asked."""
     (folder / "bench.yaml").write_text(f"tiltcal: 1\nkind: bench\njig: 0.05\nsensors:\n{sensor}{machines}")
-    done = tiltcal("measure", procedure, *QUICK, *options, cwd=folder, said=said)
-    assert done.returncode == 0, done.stderr
+    done = tiltcal("measure", procedure, *QUICK, *options, cwd=folder, said=said, code=0)
     return [one["position"] for one in map(json.loads, done.stdout.splitlines()) if "ask" in one]
 
 
@@ -372,8 +369,7 @@ def test_a_dry_run_reaches_every_position_without_a_sensor(tmp_path: Path, monke
         nothing_to_do = "modbus:tcp://127.0.0.1:9"
         bench = BENCH.format(table=place, chamber=nothing_to_do, sensors=sensor).replace("thermometer: {", "#")
         (tmp_path / "bench.yaml").write_text(bench)
-        done = tiltcal("measure", "plane", "--bench", "bench.yaml", "--dry-run", cwd=tmp_path)
-        assert done.returncode == 0, done.stderr
+        done = tiltcal("measure", "plane", "--bench", "bench.yaml", "--dry-run", cwd=tmp_path, code=0)
         found = re.findall(r"(\d)/4  (\S+) +x (\S+)°, y (\S+)°   (\d+) s\n", done.stdout)
         assert [(number, name) for number, name, *_ in found] == [
             *zip("1234", ("x-tilt1", "x-tilt2", "y-tilt1", "y-tilt2"), strict=True)
@@ -387,8 +383,7 @@ def test_a_dry_run_reaches_every_position_without_a_sensor(tmp_path: Path, monke
         stalled = tiltcal("measure", "plane", "--bench", "bench.yaml", "--dry-run", cwd=tmp_path)
     assert stalled.returncode == 3
     assert "x-tilt1: table: it is at" in stalled.stderr
-    refused = tiltcal("measure", "plane", "--sensor", "sca100t-d02", "--dry-run", cwd=tmp_path)
-    assert refused.returncode == 2
+    tiltcal("measure", "plane", "--sensor", "sca100t-d02", "--dry-run", cwd=tmp_path, code=2)
 
 
 def test_an_object_with_set_and_read_moves_the_table(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -415,8 +410,7 @@ def test_an_object_with_set_and_read_moves_the_table(tmp_path: Path, monkeypatch
         assert (refused.returncode, refused.stdout, "tilt_rig" in sys.modules) == (2, "", False)
         assert f"{file} names tilt_rig, a module of Python that would be imported" in refused.stderr
         assert "if you trust it, say --python tilt_rig" in refused.stderr
-    done = tiltcal(*resume, "--python", "tilt_rig", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
+    tiltcal(*resume, "--python", "tilt_rig", cwd=tmp_path, code=0)
     told = [tuple(one["tilt"].values()) for one in answers(tmp_path)]
     # The tilt of the axis that is carried is asin(cos 30.02° sin 0.02°), 0.017°.
     expected = [(30.02, 0.017), (-29.98, 0.017), (0.02, 30.02), (0.02, -29.98)]
@@ -426,8 +420,7 @@ def test_an_object_with_set_and_read_moves_the_table(tmp_path: Path, monkeypatch
 def test_a_position_beyond_the_limits_is_refused_before_anything_is_opened(tmp_path: Path) -> None:
     bench = BENCH.format(table="serial:///dev/none", chamber="modbus:tcp://127.0.0.1:9", sensors=SENSOR)
     (tmp_path / "bench.yaml").write_text(bench.replace("x: [-95, 95]", "x: [-31, 95]"))
-    refused = tiltcal("measure", "plane", *QUICK, cwd=tmp_path)
-    assert refused.returncode == 2
+    refused = tiltcal("measure", "plane", *QUICK, cwd=tmp_path, code=2)
     assert "x-tilt2 takes x of the table to -32, and its limits are -31 and 95: name a procedure" in refused.stderr
     assert not list(tmp_path.glob("*.jsonl"))
 

@@ -69,7 +69,7 @@ def test_a_program_leads_through_the_turns_and_the_lag_is_that_of_the_twin(tmp_p
     assert found.uncertainty["temperature.lag"] < 3.0
     assert thermal.drift[:, 0] == pytest.approx([2.1, -3.0], abs=0.03)
     assert found.coefficients.offset == pytest.approx([1030.0, 1018.0], abs=0.5)
-    assert tiltcal("replay", "S-1.journal.jsonl", "--golden", "S-1.yaml", cwd=tmp_path).returncode == 0
+    tiltcal("replay", "S-1.journal.jsonl", "--golden", "S-1.yaml", cwd=tmp_path, code=0)
 
 
 def test_faults_that_pass_cost_their_samples_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -117,17 +117,7 @@ def test_a_converter_that_never_followed_is_in_the_file(
     assert checked.returncode == (0 if flickers else 1)
     assert "no channel followed" not in checked.stdout  # y did
     assert ("x was not seen to follow any movement" in checked.stdout) == (not flickers)
-    assert tiltcal("replay", "S-1.journal.jsonl", "--golden", "S-1.yaml").returncode == 0
-
-
-def test_a_coarse_reading_that_flickers_in_one_position_and_stands_still_in_the_next_is_not_stuck() -> None:
-    """Noise of a fiftieth of a step: 1026.5 lies between two values, and 18.5 °C colder 1026.5 - 7.4 does not."""
-    Path("twin.yaml").write_text(
-        TWIN.replace("noise: {x: 0.6, y: 0.6}", "noise: {x: 0.02, y: 0.02}").replace("x: 1026.0", "x: 1026.5")
-    )
-    found = session("two-temperature")
-    assert [one.std["x"] > 0.4 for one in found.positions] == [True, False]
-    assert found.positions[1].std["x"] == 0.0
+    tiltcal("replay", "S-1.journal.jsonl", "--golden", "S-1.yaml", code=0)
 
 
 def test_one_sample_of_a_hundred_that_is_far_off_is_taken_again_and_counted(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -143,7 +133,7 @@ def test_one_sample_of_a_hundred_that_is_far_off_is_taken_again_and_counted(monk
     assert [one.left_out for one in found.positions].count(1) == 2
     assert found.offset["x"] == pytest.approx(1026.0, abs=0.4)
     assert [one.n for one in found.positions] == [100] * 4
-    assert tiltcal("replay", "S-1.journal.jsonl", "--golden", "S-1.yaml").returncode == 0
+    tiltcal("replay", "S-1.journal.jsonl", "--golden", "S-1.yaml", code=0)
 
 
 @pytest.mark.parametrize(("kind", "why"), [("parity", "102"), ("unplugged", "unplugged")])

@@ -47,8 +47,7 @@ REFUSED = {
 
 @pytest.mark.parametrize("command", REFUSED)
 def test_refused_before_anyone_starts(command: str, tmp_path: Path) -> None:
-    done = tiltcal(*command.split(), cwd=tmp_path)
-    assert done.returncode == 2, done.stderr
+    done = tiltcal(*command.split(), cwd=tmp_path, code=2)
     assert REFUSED[command] in done.stderr
     assert list(tmp_path.iterdir()) == []
 
@@ -67,8 +66,7 @@ WRONG_BENCH = [
 @pytest.mark.parametrize(("text", "line", "told"), WRONG_BENCH)
 def test_a_wrong_bench_file(text: str, line: int, told: str, tmp_path: Path) -> None:
     (tmp_path / "bench.yaml").write_text(text)
-    result = tiltcal("measure", "plane", "--bench", "bench.yaml", "--operator", "sim", cwd=tmp_path)
-    assert result.returncode == 2
+    result = tiltcal("measure", "plane", "--bench", "bench.yaml", "--operator", "sim", cwd=tmp_path, code=2)
     assert f"bench.yaml:{line}: " in result.stderr
     assert told in result.stderr
     assert [path.name for path in tmp_path.iterdir()] == ["bench.yaml"]
@@ -76,8 +74,7 @@ def test_a_wrong_bench_file(text: str, line: int, told: str, tmp_path: Path) -> 
 
 def test_a_plan_says_what_hand_held_positions_will_give() -> None:
     """Eighteen directions spread over the sphere, noise of one mean s: the bound of an independent ellipsoid fit."""
-    result = tiltcal("plan", "free", "--sensor", "sca3000-d01", "--noise", "1.0", "--samples", "100", "--json")
-    assert result.returncode == 0, result.stderr
+    result = tiltcal("plan", "free", "--sensor", "sca3000-d01", "--noise", "1.0", "--samples", "100", "--json", code=0)
     told = json.loads(result.stdout)
     predicted = told["uncertainty"]
     gravity = np.array([position.gravity for position in find_procedure("free").positions])

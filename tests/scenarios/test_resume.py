@@ -94,8 +94,7 @@ def never_stopped(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], P
         if kind not in folders:
             folders[kind] = tmp_path_factory.mktemp("never-stopped")
             furnish(folders[kind])
-            done = tiltcal(*line_of(kind), cwd=folders[kind])
-            assert done.returncode == 0, done.stderr
+            tiltcal(*line_of(kind), cwd=folders[kind], code=0)
         return folders[kind]
 
     return folder_of
@@ -126,8 +125,7 @@ def require_kept(folder: Path, before: list[object], whole: Path) -> None:
     for name in files:
         for (ours, within), (theirs, _) in zip(coefficients(folder / name), coefficients(whole / name), strict=True):
             assert ours == pytest.approx(theirs, abs=within), name
-    replayed = tiltcal("replay", JOURNAL, "--golden", "." if len(files) > 1 else files[0], cwd=folder)
-    assert replayed.returncode == 0, replayed.stderr
+    tiltcal("replay", JOURNAL, "--golden", "." if len(files) > 1 else files[0], cwd=folder, code=0)
 
 
 @pytest.mark.parametrize("kind", ["positions", "six sensors", "rotation"])
@@ -139,8 +137,7 @@ def test_killed_at_a_random_moment(
     moment = random.Random(request.node.name).randrange(1, (whole / JOURNAL).stat().st_size)
     warm.start(line_of(kind), tmp_path).kill_at(tmp_path / JOURNAL, moment)
     before, bytes_before = accepted(tmp_path / JOURNAL), (tmp_path / JOURNAL).read_bytes().rpartition(b"\n")[0]
-    resumed = tiltcal("measure", "--resume", JOURNAL, cwd=tmp_path)
-    assert resumed.returncode == 0, resumed.stderr
+    tiltcal("measure", "--resume", JOURNAL, cwd=tmp_path, code=0)
     assert (tmp_path / JOURNAL).read_bytes().startswith(bytes_before)
     require_kept(tmp_path, before, whole)
 
@@ -197,16 +194,15 @@ def test_options_beside_resume_change_nothing_and_a_torn_line_is_dropped(
 ) -> None:
     furnish(tmp_path)
     (tmp_path / JOURNAL).write_bytes((never_stopped("positions") / JOURNAL).read_bytes()[:5000])
-    done = tiltcal("measure", "--resume", JOURNAL, "--samples", "7", "--jig", "0.5", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
+    done = tiltcal("measure", "--resume", JOURNAL, "--samples", "7", "--jig", "0.5", cwd=tmp_path, code=0)
     assert "the session goes on as it began: --samples, --jig beside --resume changes nothing" in done.stderr
     assert "the last line was torn off and is dropped" in done.stderr
     assert {one.n for one in read_calibration(tmp_path / "S-1.yaml").positions} == {20}
 
 
 def test_a_second_session_leaves_the_first_journal_alone(tmp_path: Path) -> None:
-    assert measure(cwd=tmp_path).returncode == 0
+    measure(cwd=tmp_path, code=0)
     first = (tmp_path / JOURNAL).read_bytes()
-    assert measure(cwd=tmp_path).returncode == 0
+    measure(cwd=tmp_path, code=0)
     assert (tmp_path / JOURNAL).read_bytes() == first
     assert (tmp_path / "S-1.2.journal.jsonl").exists()

@@ -1,21 +1,17 @@
 """Positions that are taken again: named by the operator, or refused where they contradict the others at the end."""
 
 import re
-import sys
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
 from math import radians
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from support.browser import CHROMIUM, browser
 from support.command import tiltcal
 from support.json_program import GONE, ProgramSession, lead
-from support.web_client import session
 
 from tiltcal.bench.session import Session
 from tiltcal.drivers import find_model
@@ -68,7 +64,7 @@ def require_right(folder: Path, takes: dict[str, int]) -> None:
         assert abs(offset - truth.offset[channel]) < 4 * found.uncertainty[f"offset.{channel}"]
     assert [one.position for one in found.positions] == FACES
     assert {one.position: one.takes for one in found.positions if one.takes} == takes
-    assert tiltcal("replay", "S-1.journal.jsonl", "--golden", "S-1.yaml", cwd=folder).returncode == 0
+    tiltcal("replay", "S-1.journal.jsonl", "--golden", "S-1.yaml", cwd=folder, code=0)
 
 
 @pytest.mark.parametrize(("off", "wrong"), [(9.0, FACES), (11.0, WRONG)])
@@ -129,8 +125,7 @@ def test_three_takes_without_agreement_stop_and_keep(tmp_path: Path, monkeypatch
     assert "where a jig of 0.1° is stated" in led.errors
     assert not (tmp_path / "S-1.yaml").exists()
     for command in ("replay", "check"):
-        judged = tiltcal(command, "S-1.journal.jsonl", cwd=tmp_path, merged=True)
-        assert judged.returncode == 1, judged.stdout
+        judged = tiltcal(command, "S-1.journal.jsonl", cwd=tmp_path, merged=True, code=1)
         assert "y-up or y-down is wrong" in judged.stdout
     again = lead(*RESUME, cwd=tmp_path)
     assert again.exit_code == 0, again.errors
@@ -180,32 +175,3 @@ def test_what_cannot_be_taken_out_of_its_order_says_why(
     led = lead("measure", procedure, *options, cwd=tmp_path, answer=lambda one: next(said) if "ask" in one else None)
     assert led.exit_code == 130
     assert why in led.events("refused")[0]["why"]
-
-
-@pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed: apt install chromium")
-@pytest.mark.skipif(sys.platform == "win32", reason="Chromium is led over inherited pipes")
-def test_a_position_is_clicked_on_the_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What was refused is shown with its reason; a click on a position that is done, repeated, withdraws it."""
-    really(monkeypatch, askew_once)
-    stated: dict[str, Any] = {"sensor": "adxl345", "address": "sim:?seed=1", "serial": "S-1", "jig": 0.1}
-    stated |= {"output": tmp_path / "S-1.yaml", "samples": 5, "settle": 0.2}
-    with session("six-face", **stated) as (page, _), browser() as chromium:
-        tab = chromium.open(page.url)
-        for name in FACES:
-            assert page.answer(page.asked("position", name), "ready") == 204
-            assert page.answer(page.asked("review", name), "accept") == 204
-        tab.until("document.querySelector('#off').textContent.startsWith('refused: y-up or y-down is wrong: ')")
-        tab.until("document.querySelectorAll('#positions li.done').length === 4")
-        for name in WRONG:
-            assert page.answer(page.asked("position", name), "ready") == 204
-            assert page.answer(page.asked("review", name), "accept") == 204
-        page.asked("write")
-        tab.until("state.question?.ask === 'write' && performance.now() - since > UNTOUCHED")
-        for _ in range(2):
-            tab.tap("#positions li:nth-child(3)")
-        assert page.answer(page.asked("position", "y-up"), "ready") == 204
-        assert page.answer(page.asked("review", "y-up"), "accept") == 204
-        assert page.answer(page.asked("write"), "yes") == 204
-        assert page.answer(page.asked("afterwards"), "finish") == 204
-        assert chromium.complaints == []
-    require_right(tmp_path, {"y-up": 3, "y-down": 2})

@@ -9,18 +9,24 @@ import pytest
 from tiltcal.bench.guidance import AxisTilt, Difference, SensorGuidance
 from tiltcal.bench.messages import (
     Accepted,
+    AfterwardsQuestion,
     Begin,
     Look,
     PositionQuestion,
     Progress,
     Refused,
     Review,
+    RotationQuestion,
     ShownReading,
     ShownSensor,
+    StagePair,
+    StopAndKeep,
+    WriteQuestion,
 )
 from tiltcal.bench.operators import LOOK
 from tiltcal.bench.page_server import PageState
 from tiltcal.bench.web import WebOperator
+from tiltcal.errors import Stopped
 
 ATTITUDES = {"level": (0.0, 0.0, 1.0), "up": (0.5, 0.0, cos(radians(30))), "over": (0.0, 0.0, -1.0)}
 
@@ -103,6 +109,39 @@ def test_all_else_asks_a_person_and_says_what_it_waits_for() -> None:
         asked = {key: answers.pop(key) for key in ("temperature", "stage") if key in answers}
         assert bench.answers(question("up", **asked), **answers) == LOOK, said
         assert bench.doing().startswith(f"hands-free: {said}")
+
+
+@pytest.mark.parametrize(
+    ("asked", "shown"),
+    [
+        (question("up", temperature=40.0, stage=90.0, heading=30.0),
+         {"prompt": "", "conditions": ["at 40 °C", "stage at 90°", "heading 30°"]}),
+        (question("up"), {"prompt": "", "conditions": []}),
+        (RotationQuestion([StagePair(("a1", "a2"), "a4")], 12, "Let it turn."),
+         {"prompt": "Let it turn.", "step": "up to 12 turns", "conditions": ["a1 and a2, orthogonal a4"]}),
+        (StopAndKeep("up", "no agreement"),
+         {"prompt": "no agreement", "step": "stop and keep", "accepted": list(ATTITUDES), "conditions": []}),
+        (WriteQuestion(["a", "b"]),
+         {"prompt": "Write a, b?", "step": "everything is measured", "table": None, "guide": None, "remaining": None}),
+        (AfterwardsQuestion(True, "What now?"), {"prompt": "What now?", "step": "everything is measured"}),
+    ],
+)  # fmt: skip
+def test_what_the_page_shows_of_a_question(asked: Any, shown: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench()
+    bench.operator.tell(Progress("over", ["level"], "12 min"))
+    monkeypatch.setattr(bench.state, "wait", lambda seconds: {"answer": "go", "id": 1})
+    assert bench.operator.ask(asked) == {"answer": "go", "id": 1}
+    state = json.loads(bench.state.after(0)[1])
+    before = {"step": "3 of 3   over", "accepted": ["level"], "remaining": "12 min", "samples": None, "soak": None}
+    expected = {**before, "refused": "", "doing": "", **shown}
+    if isinstance(asked, WriteQuestion | AfterwardsQuestion):
+        expected |= {"accepted": list(ATTITUDES), "remaining": None}
+    assert {key: state[key] for key in expected} == expected
+    assert {**state["question"], "id": ""} == {**json.loads(json.dumps(asked.as_data())), "id": ""}
+    monkeypatch.setattr(bench.state, "wait", lambda seconds: {"answer": "quit"})
+    why = "not written: the operator declined" if isinstance(asked, WriteQuestion) else "stopped by the operator"
+    with pytest.raises(Stopped, match=f"^{why}$"):
+        bench.operator.ask(asked)
 
 
 def test_a_dead_sensor_is_shown_without_an_attitude() -> None:
