@@ -69,6 +69,16 @@ def test_angles_are_radians_inside_and_what_is_left_out_is_there() -> None:
     assert calibration.provenance == Provenance()
 
 
+def test_errors_have_the_turn_of_a_mounting_in_radians() -> None:
+    record = read_calibration(FIXTURES / "mounting.yaml")
+    stated, errors = record.uncertainty.covariance, record.uncertainty.errors(record.coefficients.mounting)
+    assert stated is not None
+    unit = np.array([radians(1.0) if name.startswith("mounting.turn") else 1.0 for name in stated.parameters])
+    assert (errors.names, sorted(set(unit))) == (stated.parameters, [radians(1.0), 1.0])
+    np.testing.assert_allclose(errors.covariance, np.array(stated.matrix) * np.outer(unit, unit), rtol=1e-12)
+    np.testing.assert_allclose(errors.wide, np.array(stated.wide) * np.outer(unit, unit), rtol=1e-12)
+
+
 def test_what_is_wrong_is_told_with_line_and_key() -> None:
     require_refused("tilt", EXAMPLE, read)
 

@@ -16,7 +16,7 @@ from support import FIXTURES
 
 from tiltcal.errors import InputError, TiltcalError
 from tiltcal.library.calibration import Calibration, read
-from tiltcal.library.recorded import apply_log, match
+from tiltcal.library.recorded import apply_log
 from tiltcal.logs.formats import open_log
 from tiltcal.logs.frames import rows_of
 
@@ -288,14 +288,6 @@ REFUSED: list[tuple[Any, dict[str, Any], str]] = [
 def test_it_is_refused(frame: Any, options: dict[str, Any], why: str, calibration: Calibration) -> None:
     with pytest.raises(TiltcalError, match=why):
         calibration.apply(frame, **options)
-
-
-def test_a_stage_angle_in_radians() -> None:
-    turns = {"theta": np.linspace(0.0, 20.0, 400), **{f"a{k}": np.ones(400) for k in (1, 2, 3, 4)}}
-    disk = xarray.Dataset({name: ("n", column) for name, column in turns.items()})
-    disk["theta"].attrs["units"] = "rad"
-    with pytest.raises(TiltcalError, match="column 'theta' is in rad, and stage angles in degree"):
-        match(disk, [("a1", "a2", "a4")], phase="theta")
 
 
 WITHOUT_PYARROW = """

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import xarray
 from support import FIXTURES
 
 import tiltcal
@@ -19,6 +20,8 @@ LOG = {"x": [1024.0, 1030.0] * 40, "y": [1020.0, 1021.0] * 40}
 THREE = {axis: (9.81 * (axis == "z") + np.random.default_rng(1).normal(0.0, 0.01, 80)).tolist() for axis in "xyz"}
 SENSOR = {"serial": "S-1", "sensor": "sca100t-d02"}
 SEGMENT = [{"position": "level", "start": 0, "end": 80}]
+DISK = xarray.Dataset({name: ("n", np.linspace(0.0, 20.0, 400)) for name in ("theta", "a", "b", "c")})
+DISK["theta"].attrs["units"] = "rad"
 NOISY = {"x": np.random.default_rng(1).normal(size=200).tolist()}
 
 
@@ -78,6 +81,9 @@ REFUSED: dict[str, Callable[[], Any]] = {
     "m/s2": noise(NOISY, rate=1.0, target=0.1),
     "the frame: x and temperature are one column, 'x': name the column of each": applied(columns="temperature=x"),
     "the readings have one unit: sensor says count, but unit says V": noise(NOISY, sensor="sca100t-d02", unit="V"),
+    "the frame: column 'theta' is in rad, and stage angles in degree: convert the readings": lambda: tiltcal.match(
+        DISK, [("a", "b", "c")], phase="theta"
+    ),
     "the frame: column 'a' has no value in any row: is a connected?": lambda: tiltcal.match(
         {"t": np.arange(900.0), "a": [np.nan] * 900, "b": np.ones(900), "c": np.ones(900)},
         [("a", "b", "c")],
