@@ -206,7 +206,7 @@ def mounting_angles(matrix: Array) -> tuple[Mounting, bool]:
     rotation = np.asarray(matrix, dtype=float)
     if (
         rotation.shape != (3, 3)
-        or not np.allclose(rotation @ rotation.T, np.eye(3), rtol=0.0, atol=_ORTHOGONAL)
+        or not np.abs(rotation @ rotation.T - np.eye(3)).max() <= _ORTHOGONAL  # nor where one is not a number
         or np.linalg.det(rotation) < 0.0
     ):
         raise EstimateError("a mounting must be a rotation: three perpendicular unit rows, right-handed")

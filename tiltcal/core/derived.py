@@ -120,6 +120,7 @@ def _nine(coefficients: Coefficients) -> Array:
     """Return the offsets, the lengths of the rows of S, and the angles between each two of them in degrees."""
     rows = _matrix(coefficients)
     first, second = rows[[0, 0, 1]], rows[[1, 2, 2]]
-    sine = np.linalg.norm(np.cross(first, second), axis=1)
+    across = first[:, [1, 2, 0]] * second[:, [2, 0, 1]] - first[:, [2, 0, 1]] * second[:, [1, 2, 0]]
+    sine = np.linalg.norm(across, axis=1)
     angles = np.degrees(np.arctan2(sine, np.sum(first * second, axis=1)))
     return np.concatenate([coefficients.offset, np.linalg.norm(rows, axis=1), angles])

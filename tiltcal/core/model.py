@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -79,7 +79,7 @@ class Coefficients:
     nonlinearity: Array | None = None
     angles: AngleReadings | None = None
 
-    @property
+    @cached_property
     def models(self) -> tuple[ChannelModel, ...]:
         """The model of each channel."""
         drift, gain = (0, 0) if self.thermal is None else (self.thermal.drift.shape[1], self.thermal.gain.shape[1])
