@@ -151,7 +151,9 @@ class FaultySession:
                 if (stated := session.setup.machines.get(name)) is not None:
                     machines[name] = (stated, machine)
             movers = movers_of(machines, clock)
-            self._machines = Machines(VirtualJig(), movers, session.setup.steps, clock, thermometer=True)
+            self._machines = Machines(
+                VirtualJig(lambda line: None), movers, session.setup.steps, clock, thermometer=True
+            )
             try:
                 self.result = run_session(session, self)
                 return

@@ -20,6 +20,7 @@ from support.web_client import WebClient, session
 
 from tiltcal import measure
 from tiltcal.bench.guidance import CALIBRATED, OWN_FRAME
+from tiltcal.bench.page_server import host_and_port
 from tiltcal.bench.page_token import PageToken
 from tiltcal.errors import Stopped, UsageError
 from tiltcal.files.calibration import read_calibration
@@ -175,13 +176,14 @@ def test_a_connection_that_drips_is_closed(tmp_path: Path, monkeypatch: pytest.M
     ("options", "why"),
     [
         ({"listen": "8016"}, "HOST:PORT"),
-        ({"listen": "127.0.0.1:99999"}, "HOST:PORT"),
+        ({"listen": "127.0.0.1:65536"}, "HOST:PORT"),
         ({"listen": "user@127.0.0.1:8016"}, "HOST:PORT"),
         ({"listen": "127.0.0.1:8016/"}, "HOST:PORT"),
         ({"operator": "sim", "hands_free": True}, "is for the page"),
     ],
 )
 def test_what_cannot_be_asked_for(options: dict[str, Any], why: str, tmp_path: Path) -> None:
+    assert host_and_port("[::1]:65535") == ("::1", 65535)
     with pytest.raises(UsageError, match=why):
         measure("zero-45", **sensor(tmp_path, **{"operator": "web", **options}))
 

@@ -132,11 +132,11 @@ class Expectations:
         setup: Setup,
         sensors: Sequence[BenchSensor],
         accepted: Sequence[PositionResult],
-        judged: Mapping[str, CalibrationRecord] | None = None,
-        open_: Sequence[Position] = (),
-        alike: list[str] | None = None,
+        judged: Mapping[str, CalibrationRecord],
+        open_: Sequence[Position],
+        alike: list[str],
     ) -> None:
-        self._open, self._alike = open_, [] if alike is None else alike
+        self._open, self._alike = open_, alike
         self._setup = setup
         self._sensors = {sensor.serial: sensor for sensor in sensors}
         self._accepted = accepted
@@ -149,7 +149,7 @@ class Expectations:
         self._readings = {sensor.serial: self._learnt(sensor.serial, sensor.wired) for sensor in sensors}
         self._calibrated: dict[str, tuple[Compensation, tuple[str, ...]]] = {}
         """By serial number the compensation of a sensor that has a calibration, and the channels that this takes."""
-        for serial, base in (bases | dict(judged or {})).items():
+        for serial, base in (bases | dict(judged)).items():
             if judged or self._mounts:  # in the sensor's own frame
                 base = replace(base, coefficients=replace(base.coefficients, mounting=None))
             self._calibrated[serial] = compensation_of(base), base.coefficients.channels

@@ -132,7 +132,7 @@ class VirtualJig(Operator):
 
     most_attempts = 10  # asked again, it does the same again
 
-    def __init__(self, say: Callable[[str], None] = lambda line: None) -> None:
+    def __init__(self, say: Callable[[str], None]) -> None:
         self._say = say
         self._begin: messages.Begin | None = None
 

@@ -32,9 +32,9 @@ class PositionResult:
 
     position: Position
     measurements: Mapping[str, Measurement]
-    typed: bool = False
-    left_out: int = 0
-    asked: float | None = None
+    typed: bool
+    left_out: int
+    asked: float | None
 
     def with_steps(self, steps: Mapping[str, ReadingStep]) -> PositionResult:
         """Return this position with the steps that a session's readings have shown, where the models state none."""

@@ -82,6 +82,10 @@ def test_the_present_attitude_is_in_the_frame_of_the_fixture(axes: tuple[str, st
     seen = sits.seen(up)
     shown = guidance(SCA100T, sits, [1024.0 + 819.0 * one for one in seen[:2]], up, expected())
     assert shown.up == pytest.approx(up)
+    # Of one axis that is to point up, the others share what is left of gravity.
+    alone = replace(SCA100T, channels=("x",))
+    shown = guidance(alone, STRAIGHT, counts(degrees(asin(0.6)), 0.0)[:1], (1.0, 0.0, 0.0), expected(alone))
+    assert shown.up == pytest.approx((0.6, 0.32**0.5, 0.32**0.5))
 
 
 FACES = [(1.0, 0.0, 0.0), (-1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, 1.0), (0.0, 0.0, -1.0)]
