@@ -96,6 +96,7 @@ def test_what_a_fit_says_of_legs_orders_and_loops_is_numpys():
     np.testing.assert_allclose(fit.polynomial, np.sqrt(left_out[3]), rtol=0.01)
     assert (fit.lag, fit.u_element, means.shift) == (0.0, 0.0, 0.0)
     assert np.abs(fit.found_lag) < 3.0 * fit.u_lag
+    assert not fit.loop_covariance.any()
     low, high = max(dt[up].min(), dt[~up].min()), min(dt[up].max(), dt[~up].max())
     np.testing.assert_allclose(fit.places, np.linspace(low, high, 17)[1::2], rtol=1e-9)
     design = np.hstack([np.vander(dt, 4), np.where(up, 1.0, -1.0)[:, None] * np.vander(dt, 3)])
