@@ -235,6 +235,13 @@ def test_what_is_in_a_log_is_told_in_whole_words(name: str, tmp_path: Path) -> N
     assert re.sub("[+-](?=[xyz] )", "±", text) == f"{name}: {said}"
 
 
+def test_a_log_without_a_sound_row_is_refused_by_its_first_and_a_pipe_is_described(tmp_path: Path) -> None:
+    (tmp_path / "log.csv").write_text(text := "x,y,z\n1,2,?\n3,4,?\n")
+    refused = tiltcal("probe", "log.csv", cwd=tmp_path, code=2)
+    assert refused.stderr == "tiltcal: log.csv:2: column 'z': '?' is no number\n"
+    assert "2 rows, 2 rows that cannot be parsed" in tiltcal("probe", "-", cwd=tmp_path, said=text, code=0).stdout
+
+
 def test_the_first_times_of_a_log_decide_their_unit() -> None:
     """Elapsed nanoseconds reach 1e12 after 1000 s, as milliseconds since 1970 begin in 2001."""
     times, clock = np.arange(0.0, 1.1e12, 1e11), LogClock()
