@@ -279,6 +279,7 @@ SET_UP = {
         "POWER_CTL= OFSX OFSY OFSZ INT_ENABLE= FIFO_CTL BW_RATE DATA_FORMAT= POWER_CTL=",
         rates("adafruit_adxl34x:DataRate.RATE_{}_HZ", "3200 1600 800 400 200 100 50 25 12_5")
         | {6.25: "adafruit_adxl34x:DataRate.RATE_6_25HZ"},
+        change=lambda sensor: sensor._write_register_byte(resolve_name("adafruit_adxl34x:_REG_POWER_CTL"), 0),
     ),
     "adafruit_lis3dh": SetUp(
         "adafruit_lis3dh _REG_",
