@@ -108,6 +108,9 @@ def test_the_facts_of_a_model_are_those_of_its_data_sheet(sheet: dict[str, Any],
             )
             for one, limit in zip(found, map(float, expected), strict=True):
                 assert 0.97 * limit <= one <= limit, (found, expected)
+        elif name == "held":
+            sensor = VirtualDevice(model).sensor
+            assert {at: f"{sensor.register(int(at, 16)):02X}" for at in expected} == expected
         elif name == "spi":
             assert model.spi is not None
             figures = (*model.spi.modes, model.spi.fastest or 0, model.spi.speed or 0, model.spi.slowest)
