@@ -150,6 +150,8 @@ def test_events_of_both_lines_become_records_no_more_than_asked_for_and_none_los
         bus.edges.append(SimpleNamespace(**event, line_seqno=0))
 
     link = opened(GPIO)
+    opened(GPIO.replace("x=17", "x=0")).close()
+    link, bus.closed = opened(GPIO), 0
     ((lines, settings),) = bus.options["config"].items()
     assert (bus.path, lines, bus.options["event_buffer_size"]) == ("/dev/gpiochip0", (17, 27), 1024)
     assert settings.edge_detection is gpiod.line.Edge.BOTH
@@ -253,6 +255,10 @@ REFUSED = (
     ("gpio:///dev/gpiochip0?x=17", "option 'y' is missing"),
     ("gpio:///dev/gpiochip0?x=17&y=17", "both line 17"),
     ("gpio:///dev/gpiochip0?x=17&y=4294967323", "too large"),
+    (f"{COM}?timeout=3600.5", r"timeout=3600\.5 is too large"),
+    (f"{COM}?timeout=0.04", r"timeout=0\.04 is too small"),
+    (f"{SPI}?zzz=1", r"unknown option 'zzz' \(spi: takes mode, speed\)"),
+    ("modbus:tcp://host:65536?columns=x@0", "'65536' is no port number"),
     (f"{COM}?parity=maybe", "is not one of N, E, O"),
     (f"{COM}?stopbits=3", "is not one of 1, 1.5, 2"),
     ("serial:nosuch://somewhere", "cannot be used: name a port"),
@@ -405,6 +411,7 @@ def test_what_is_not_there_or_no_port_is_named(tmp_path: Path) -> None:
         ("serial:hwgrep://nobody", r"hwgrep://nobody failed .no ports found .*: check the wiring"),
         (f"serial://{path}", "no serial port"),
         ("modbus:tcp://127.0.0.1?columns=x@0", r"no Modbus server answers at tcp://127\.0\.0\.1: is it running"),
+        ("modbus:tcp://127.0.0.1:65535?columns=x@0", r"no Modbus server answers at tcp://127\.0\.0\.1:65535"),
         ("modbus:/dev/null?columns=x@0", "/dev/null cannot be opened: is it a serial port"),
         ("modbus:tcp://a..b:1?columns=x@0", "no Modbus server answers at tcp://"),
         (f"modbus:tcp://{'a' * 64}:1?columns=x@0", "no Modbus server answers at tcp://"),

@@ -192,6 +192,7 @@ def test_a_pulse_that_never_came_gives_no_period() -> None:
 def test_edges_are_numbered_anew_once_the_lines_are_had_again() -> None:
     edges = pack_edges(trains(1000, [(500, 250)] * 3, centred=False))
     sensor = Adxl202Edges(ArrivingPieces(edges, b"", edges), VirtualClock())
+    sensor.discard()  # which takes nothing of what comes later
     for _ in range(2):
         assert [sensor.read().values for _ in range(2)] == [(0.5, 0.25)] * 2
         with pytest.raises(BusError, match=r"unplugged|silent"):

@@ -33,6 +33,12 @@ def test_the_driver_sends_the_frames_of_the_data_sheet_alone() -> None:
     ours = {value.hex().upper() for value in vars(frames).values() if isinstance(value, bytes)}
     assert ours | {mode.hex().upper() for mode in frames.MODES} <= ALLOWED
     assert all(frames.crc8(frame[:3]) == frame[3] for frame in map(bytes.fromhex, ALLOWED))
+    assert frames.flags_in_words(0x3FF) == (
+        "digital block (DIGI1), digital block (DIGI2), clock (CLK), signal path saturated (SAT), "
+        "temperature path saturated (TEMP_SAT), supply (PWR), memory (MEM), power-down (PD), "
+        "mode change (MODE_CHANGE), internal connection (PIN_CONTINUITY)"
+    )
+    assert frames.flags_in_words(0x004) == "power-down (PD)"
     # A write is answered with its own data: bank 1 by bank 1, and not by bank 0.
     answers = [frames.decode(bytes.fromhex(frame)) for frame in ("FD0001E1", "FD0000FC")]
     assert [answer.answers(frames.BANK_1) for answer in answers] == [True, False]

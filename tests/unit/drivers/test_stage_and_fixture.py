@@ -15,7 +15,7 @@ from tiltcal.drivers import find_model
 from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.bus.clock import VirtualClock
 from tiltcal.drivers.stage import Accelerometer, Disk, disk_sample
-from tiltcal.drivers.virtual import Fixture, _rotated
+from tiltcal.drivers.virtual import Fixture, Truth, _rotated
 
 QUIET = Disk(noise=0.0)
 
@@ -62,6 +62,11 @@ def test_a_gradient_turns_up_twice_a_turn_with_the_signs_of_eq_1() -> None:
     made = taken(replace(QUIET, inclination=0.0, gradient=(2e-6, 5e-7), accelerometers=(Accelerometer(1.0),) * 4), 4000)
     for index, sign in enumerate((1, 1, -1, -1)):
         assert disk.judged(made, made.readings[:, index], harmonic=2) == pytest.approx((sign * 1e-6, sign * 5e-7))
+
+
+def test_a_slope_is_the_tangent_of_the_angle() -> None:
+    truth = Truth(("x",), {"x": 0.0}, {"x": {"x": 1000.0}}, angles="inclination", slope=1000.0)
+    assert truth.reading("x", (0.5, 0.0, 0.75**0.5), 25.0) == pytest.approx(577.350269)
 
 
 def test_a_line_is_the_next_sample_of_the_disk_in_the_columns_of_the_address() -> None:
