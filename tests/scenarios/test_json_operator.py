@@ -137,6 +137,11 @@ def test_an_answer_that_will_not_do_is_refused_with_the_reason(tmp_path: Path) -
         '{"answer": "ready", "tilt": {"q": 3}}': "unknown key 'q'; known here: x, y",
         '{"answer": "ready", "gravity": [0, 0, 0]}': "gravity [0, 0, 0] has no direction",
         '{"answer": "ready", "angle": 30}': "unknown key 'angle'",
+        '{"answer": "ready", "temperature": 151}': "temperature in the answer is 151 °C, not between -60 and 150",
+        '{"answer": "ready", "temperature": -61}': "temperature in the answer is -61 °C, not between -60 and 150",
+        '{"answer": "again"}': "the answer 'again' names the position",
+        '{"answer": "redo", "position": "x-tilt1"}': "the answer 'redo' names no position",
+        '{"answer": "back"}': "this is the first position: there is none before it to go back to",
         '{"answer": "ready", "tilt": {"y": ' + "9" * 400 + "}}": "too large a number",
     }
     led = table(tmp_path, "plane", lambda ask, n: [*rubbish, *4 * [{"answer": "ready"}]][n - 1])

@@ -81,17 +81,10 @@ def degrees(celsius: float) -> bytes:
 
 
 class Rig:
-    """Answers the positions by a function; after three refusals it quits."""
+    """Answers the positions by a function."""
 
     def __init__(self, answer: Callable[[dict[str, Any]], dict[str, Any]]) -> None:
-        self.refusals: list[str] = []
-        self._answer = answer
-
-    def position(self, ask: dict[str, Any]) -> dict[str, Any]:
-        return {"answer": "quit"} if len(self.refusals) > 2 else self._answer(ask)
-
-    def refused(self, event: dict[str, Any]) -> None:
-        self.refusals.append(f"{event['position']}: {event['why']}")
+        self.position = answer
 
 
 # A channel that is dead, stuck, frozen or far off
@@ -179,13 +172,6 @@ def test_what_was_typed_is_what_is_judged() -> None:
 # Temperatures
 
 
-def test_a_temperature_that_no_bench_has_is_refused_as_an_answer() -> None:
-    rig = Rig(lambda ask: {"answer": "ready", "temperature": 9999.0})
-    with pytest.raises(Stopped):
-        session("two-temperature", operator=rig)
-    assert rig.refusals == 3 * ["level-warm: temperature in the answer is 9999 °C, not between -60 and 150"]
-
-
 LATE = """\
 tiltcal: 1
 kind: twin
@@ -240,8 +226,3 @@ def test_a_temperature_is_waited_for_again_after_another_one() -> None:
     words = iter(["ready", "ready", "ready", "back", "back"])
     found = session("parted.yaml", operator=Rig(lambda ask: {"answer": next(words, "ready")}))
     assert found.positions[1].temperature == pytest.approx(24.0, abs=2.0 + 0.92)
-
-
-def _seconds(stamp: str) -> float:
-    hours, minutes, seconds = stamp.rstrip("Z").split("T")[1].split(":")
-    return 3600 * int(hours) + 60 * int(minutes) + float(seconds)
