@@ -4,6 +4,7 @@ import json
 import re
 from math import hypot
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -133,6 +134,39 @@ def test_a_probe_shows_answers_and_self_tests(monkeypatch: pytest.MonkeyPatch) -
         self_test = {"y": {"passed": True, "said": str(made["y"])}}
         assert told == {"model": "sca100t-d02", "address": "sim:", "answers": answers, "self_test": self_test}
     assert "self-test" not in tiltcal("probe", "--sensor", "sca100t-d02", "--address", "sim:", code=0).stdout
+
+
+BY_LENGTH = " (at rest they are as long as gravity)"
+UNKNOWN = ", and unit= is not known: add it and what 1 g is, such as &unit=count&sensitivity=16384"
+WHICH = "which of them are the accelerations does not show (- skips one): name them, such as"
+RIGHT, COUNT = "If that is right:", "&unit=count&sensitivity=16384"
+
+
+@pytest.mark.parametrize(
+    ("line", "columns", "unit", "what", "more"),
+    [
+        ("0.1,0.2,9.8", "x,y,z", "m/s2", f"as columns=x,y,z, unit=m/s2{BY_LENGTH}. {RIGHT}", "&unit=m/s2"),
+        ("X: 1 Y: 0 Z: 9 m/s^2", "x,y,z", "m/s2", f"as columns=x,y,z, unit=m/s2. {RIGHT}", "&unit=m/s2"),
+        ("1 7 16384", "x,y,z", "count", f"as columns=x,y,z, unit=count{BY_LENGTH}. {RIGHT}", COUNT),
+        ("ax=12", "x", "", f"as columns=x{UNKNOWN}. {RIGHT}", ""),
+        ("1.5 2 3 4 5", "-,-,-,-,-", "", WHICH, "&unit=m/s2"),
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("port", ["/dev/ttyUSB0", "/dev/ttyUSB0?timeout=3"])
+def test_a_port_is_described_by_what_it_prints(
+    port: str, line: str, columns: str, unit: str, what: str, more: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tiltcal.cli.probe.open_link", lambda *_: SimpleNamespace(close=lambda: None))
+    monkeypatch.setattr("tiltcal.cli.probe.listened", lambda *_: ([line.encode()] * 3, 49.96))
+    procedure, count = "six-face" if columns == "x,y,z" else "PROCEDURE", columns.count(",") + 1
+    address = f"{port}{'&' if '?' in port else '?'}columns={columns.replace('-,-,-', 'x,y,z', 1)}{more}"
+    assert tiltcal("probe", "--address", port, code=0).stdout == (
+        f"/dev/ttyUSB0 prints {count} number{'s' * (count > 1)} a line, 50 lines a second:\n  {line}\n{what}\n"
+        f'  tiltcal measure {procedure} --sensor serial-columns --address "{address}" --serial IMU1 -o IMU1.yaml\n'
+    )
+    told = {"numbers": count, "columns": columns, "unit": unit, "example": line, "lines_per_second": 50.0}
+    told["address"] = port if what is WHICH else address
+    assert json.loads(tiltcal("probe", "--address", port, "--json", code=0).stdout) == told
 
 
 def test_a_stage_is_planned_by_its_channels() -> None:

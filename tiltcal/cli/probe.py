@@ -102,7 +102,8 @@ def _listen(address: Address, as_json: bool) -> int:
     place = address.written.partition("?")[0]
 
     def advised(**stated: str) -> str:
-        return f"{place}?{'&'.join(f'{name}={value}' for name, value in {**address.options, **stated}.items())}"
+        options = (f"{name}={value}" for name, value in {**address.options, **stated}.items())
+        return f"{place}?{'&'.join(options)}".rstrip("?")
 
     if as_json:
         said = {"numbers": count, "columns": columns, "unit": found.unit, "example": found.example}
