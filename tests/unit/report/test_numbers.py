@@ -1,8 +1,9 @@
 """Numbers on the page, against those that the guides print."""
 
 import re
+from math import inf
 
-from tiltcal.report.numbers import aligned, at_place, grouped, half_width, measured, plain
+from tiltcal.report.numbers import aligned, at_place, at_place_if_stated, grouped, half_width, measured, plain
 
 
 def test_two_digits_of_uncertainty() -> None:
@@ -37,6 +38,7 @@ def test_half_widths_plain_numbers_and_counts() -> None:
     ):
         assert plain(value, digits) == text
     assert (at_place(-0.0004, 3), at_place(-0.0006, 3)) == ("0.000", "−0.001")
+    assert [at_place_if_stated(value, 2) for value in (-1.5, None, inf)] == ["−1.50", "", ""]
     assert grouped(10_000_000) == "10\u202f000\u202f000"
 
 
