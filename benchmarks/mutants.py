@@ -9,7 +9,8 @@
 A place is drawn first and then one of the changes that cosmic-ray has for it, so that no place counts more because more
 can be done there. Each change runs in a copy, against the tests that reach its line (outside of functions: its module,
 and the tests that hold tables), the quickest first and as many as take 40 seconds, and stops at the first failure. What
-fails without the change too is left out, and what survives is printed. Processes that a test starts are not followed.
+fails without the change too is left out, and what survives is printed. A process that a test starts counts
+for that test, unless it is killed or has an environment of its own.
 """
 
 from __future__ import annotations
@@ -80,7 +81,6 @@ SLIPS |= {"Is": "NotEq", "IsNot": "Eq", "USub": "UAdd", "Delete": "USub Not"}
 """The other operators that are tried for each: the opposite, and the bound that counts or does not."""
 BY_CONSTRUCTION = r"\*,|strict=True"
 """What is no calculation: how arguments are given, and a zip of what has one length."""
-
 
 FOLLOWED = {
     "followed.py": """
@@ -164,7 +164,6 @@ class Reach:
         from coverage import CoverageData
 
         self._present = present
-
         self._data = CoverageData(no_disk=True)
         self._seconds: dict[str, float] = {}
         for stem in stems:
