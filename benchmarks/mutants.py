@@ -48,6 +48,13 @@ PARTS = (
     "examples",
     "pyproject.toml",
     "README.md",
+    "CITATION.cff",
+    "CONTRIBUTING.md",
+    "CHANGELOG.md",
+    "LICENSE",
+    "Makefile",
+    "constraints.txt",
+    "benchmarks",
 )
 PYTEST = (sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider")
 
@@ -79,7 +86,7 @@ SLIPS |= {"BitOr": "BitAnd", "BitAnd": "BitOr", "BitXor": "BitOr", "LShift": "RS
 SLIPS |= {"Lt": "LtE GtE", "LtE": "Lt Gt", "Gt": "GtE LtE", "GtE": "Gt Lt", "Eq": "NotEq", "NotEq": "Eq"}
 SLIPS |= {"Is": "NotEq", "IsNot": "Eq", "USub": "UAdd", "Delete": "USub Not"}
 """The other operators that are tried for each: the opposite, and the bound that counts or does not."""
-BY_CONSTRUCTION = r"\*,|strict=True"
+BY_CONSTRUCTION = r"\*,|strict=True|kw_only=True"
 """What is no calculation: how arguments are given, and a zip of what has one length."""
 
 FOLLOWED = {
