@@ -62,7 +62,7 @@ class Setup(Record, kw_only=True, dict=True):
     journal: Annotated[Text, about("its file name")]
     started: Annotated[Text, about("when, UTC")]
     virtual: Annotated[bool, about("whether every device is a twin")]
-    operator: Annotated[Text, about("who leads: `terminal`, `web`, `json`, `sim` or `python`")]
+    operator: Annotated[Text, about("who leads: `terminal`, `web`, `sim`, or `json` for a program or an object")]
     person: Annotated[Text | None, about("the name in the bench file")] = None
     sensors: Annotated[Annotated[tuple[BenchDevice, ...], Meta(min_length=1)], about("the sensors, in order")]
     thermometer: Annotated[BenchDevice | None, about("of a bench that has one")] = None

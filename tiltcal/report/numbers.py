@@ -25,8 +25,7 @@ def measured(value: float, uncertainty: float | None, digits: int = 6) -> str:
     if Decimal(f"{uncertainty:.{LABORATORY - 1}e}").adjusted() - (LABORATORY - 1) >= -_MOST_DECIMALS:
         return signed(bracketed(value, uncertainty, LABORATORY))
     power = Decimal(max(abs(value), uncertainty)).adjusted()
-    mantissa = bracketed(value * 10.0**-power, uncertainty * 10.0**-power, LABORATORY)
-    return f"{signed(mantissa)} × 10{str(power).translate(SUPERSCRIPT)}"
+    return _to_power(bracketed(value * 10.0**-power, uncertainty * 10.0**-power, LABORATORY), power)
 
 
 def plain(value: float, digits: int) -> str:
@@ -48,7 +47,12 @@ def _rounded(value: float, digits: int) -> str:
     if not exact or exact.adjusted() - (digits - 1) >= -_MOST_DECIMALS:
         return signed(f"{exact:f}")
     power = exact.adjusted()
-    return f"{signed(f'{exact.scaleb(-power):f}')} × 10{str(power).translate(SUPERSCRIPT)}"
+    return _to_power(f"{exact.scaleb(-power):f}", power)
+
+
+def _to_power(mantissa: str, power: int) -> str:
+    """Return a number with its power of ten, which is left out where it is 1."""
+    return signed(mantissa) + (f" × 10{str(power).translate(SUPERSCRIPT)}" if power else "")
 
 
 def three_digits(values: Iterable[float]) -> int:
