@@ -22,7 +22,6 @@ import json
 import os
 import re
 from collections.abc import Iterator, Mapping
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
@@ -50,10 +49,6 @@ LINE_LIMIT = 16_000_000  # bytes of a line; the first one holds the procedure an
 _ARRAY_CHECK = len(',"00000000"]\n')
 _OBJECT_CHECK = len(',"check":"00000000"}\n')
 _CHANGED = "the line is damaged: its check does not fit its content"
-_PLAIN = re.compile(
-    r'\[(0|[1-9][0-9]{0,17}),"((?![ap])[a-z])","([0-9a-f]*)","([0-9a-f]*)"(?:,(0|[1-9][0-9]{0,8}))?,"[0-9a-f]{8}"\]\n'
-)
-"""A transaction as it is written here; nearly all lines are. Any other way to write it is JSON too."""
 _ACCEPTS, _ENDS = (re.compile(rb'\[\s*[0-9]+\s*,\s*"%s"\s*,' % kind.encode()) for kind in (POSITION, END))
 
 
@@ -287,15 +282,12 @@ def _header(line: bytes, path: Path) -> tuple[dict[str, Any], Written]:
 
 
 def _event_of(line: bytes, path: Path, number: int) -> Event:
-    if (plain := _PLAIN.fullmatch(line.decode("latin-1"))) and not (len(plain[3]) | len(plain[4])) % 2:
-        dt, letter, *transferred, device = plain.groups()
-        return Event(number, int(dt), letter, (*transferred, int(device)) if device else tuple(transferred))
-    match found := _loads(line[:-_ARRAY_CHECK] + b"]", path, number):
-        case [dt_ns, str(kind), *payload]:
-            with suppress(msgspec.ValidationError):
-                msgspec.convert(found, _LINES.get(kind, _Transaction))
-                return Event(number, dt_ns, kind, tuple(payload))
-    raise _damage("the line is no event of a journal, though its check fits", path, number)
+    found = _loads(line[:-_ARRAY_CHECK] + b"]", path, number)
+    try:
+        msgspec.convert(found, _LINES.get(found[1], _Transaction))
+        return Event(number, found[0], found[1], tuple(found[2:]))
+    except (LookupError, TypeError, msgspec.ValidationError):
+        raise _damage("the line is no event of a journal, though its check fits", path, number) from None
 
 
 def _loads(body: bytes, path: Path, number: int) -> Any:
