@@ -62,3 +62,16 @@ def test_every_key_of_a_file_has_its_limits() -> None:
             limits = {key: numbers(part) for key, part in record.get("properties", {}).items()}
             found |= {name: limited} if (limited := {key: some for key, some in limits.items() if any(some)}) else {}
     assert found == KEYS
+
+
+CHANGING = {"AcceptedPosition", "AcceptedSensor", "ApplySummary", "LogWriter", "PlayedLink", "Written"}
+"""What counts, holds what is open, or is read from a line at once."""
+
+
+def test_values_are_frozen() -> None:
+    paths = (path for name in ("tiltcal", "drivers") for path in (ROOT / name).rglob("*.py"))
+    nodes = (node for path in paths for node in ast.walk(ast.parse(path.read_text("utf-8"))))
+    classes = [node for node in nodes if isinstance(node, ast.ClassDef) and not node.name.startswith("_")]
+    heads = {one.name: " ".join(map(ast.unparse, (*one.decorator_list, *one.bases, *one.keywords))) for one in classes}
+    values = {name: head for name, head in heads.items() if head.startswith(("dataclass", "Struct"))}
+    assert {name for name, head in values.items() if "frozen=True" not in head} == CHANGING

@@ -77,7 +77,7 @@ class SensorIdentity(Record):
         return "°" if self.reads is not None and self.unit in SLOPES else self.unit
 
 
-class LimitsSection(Record, kw_only=True):
+class LimitsSection(Record):
     """The section ``limits`` as it stands in a file."""
 
     directions: Annotated[
@@ -122,7 +122,7 @@ def _by_name(
     return dict(ranges)
 
 
-class TiltFile(Record, kw_only=True):
+class TiltFile(Record):
     """The content of a calibration file as it stands there."""
 
     always_written = ("uncertainty", "limits", "derived", "fit", "procedure", "positions", "provenance")
@@ -284,7 +284,7 @@ class BaseFile(Record):
         return FileRecord.of_text(self.name, self.text)
 
 
-@lru_cache(maxsize=64)
+@lru_cache
 def _record_of(text: str, name: str) -> CalibrationRecord:
     return tilt_record(parse_document(text, name))
 

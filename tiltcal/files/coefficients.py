@@ -37,7 +37,7 @@ Bend = ByAxis[Annotated[tuple[Finite, ...], Meta(max_length=2)]]  # shares of th
 Polynomials = ByAxis[Annotated[tuple[Finite, ...], Meta(max_length=ORDER_LIMIT)]]  # of dT, dT², ... for some
 
 
-class ThermalSection(Record, kw_only=True):
+class ThermalSection(Record):
     """``calibration.temperature`` as it stands in a file."""
 
     reference: Annotated[Finite, about("reference temperature, °C")]
@@ -52,7 +52,7 @@ class ThermalSection(Record, kw_only=True):
         return Thermal(self.reference, self.range, drift, gain, self.lag)
 
 
-class MountingSection(Record, kw_only=True):
+class MountingSection(Record):
     """``calibration.mounting`` as it stands in a file."""
 
     always_written = ANGLES
@@ -62,7 +62,7 @@ class MountingSection(Record, kw_only=True):
     yaw: Annotated[float, Meta(ge=-180, le=180), about("degrees, -180 to 180")] = 0.0
 
 
-class CoefficientsSection(Record, kw_only=True):
+class CoefficientsSection(Record):
     """The section ``calibration`` as it stands in a file."""
 
     offset: Annotated[ByAxis[Finite], about("per channel, unit, at the reference temperature")]
@@ -197,7 +197,7 @@ _POLYNOMIALS = ByAxis[Annotated[tuple[Size, ...], Meta(max_length=ORDER_LIMIT)]]
 _ROUNDED = 0.01  # an eigenvalue of the correlations below zero, or a difference, that is larger is no matter of digits
 
 
-class Covariance(Record, kw_only=True):
+class Covariance(Record):
     """The covariance of the uncertain coefficients."""
 
     parameters: Annotated[tuple[Text, ...], about("dotted names; `mounting.turn.x`: about the application's x")]
@@ -283,7 +283,7 @@ class Uncertainty(Mapping[str, float]):
         return found.beside(Uncertain.errors(ANGLES, np.diag(np.square(angles))).through(axes, TURNS))
 
 
-class ThermalUncertainty(Record, kw_only=True):
+class ThermalUncertainty(Record):
     """Standard uncertainties in the shape of ``calibration.temperature``."""
 
     reference: Annotated[Size | None, about("of the reference temperature, °C")] = None
@@ -311,7 +311,7 @@ def _check_covariance(covariance: Covariance, place: Document, known: Sequence[s
             raise place.error(f"this is no covariance: {why}; take it from the file that the calibration wrote", key)
 
 
-class UncertaintySection(Record, kw_only=True):
+class UncertaintySection(Record):
     """The section as it stands in a file."""
 
     offset: Annotated[ByAxis[Size], about("per channel, unit")] = {}

@@ -25,7 +25,7 @@ from tiltcal.units import CONVENTIONS
 Sent = Annotated[str, Meta(min_length=1)]
 
 
-class DeviceFile(Record, kw_only=True, frozen=True):
+class DeviceFile(Record, kw_only=True):
     """The content of a device file."""
 
     name: Annotated[Identifier, about("of the model, as calibrations have it")]
@@ -86,7 +86,7 @@ class DeviceFile(Record, kw_only=True, frozen=True):
         )
 
 
-@lru_cache(maxsize=64)
+@lru_cache
 def _model_of(file: DeviceFile) -> Model:
     try:
         return file.device.model()

@@ -20,21 +20,21 @@ CHAMBER_AXES = ("temperature",)
 MachineAxis = Annotated[str, one_of(*TABLE_AXES, *CHAMBER_AXES)]
 
 
-class Registers(Record, kw_only=True):
+class Registers(Record):
     """The Modbus registers of one axis, as `register:type*factor`, such as `100:int16*0.01`."""
 
     set: Annotated[Text, about("the registers that take what is to be set, such as `100:int16*0.01`")]
     read: Annotated[Text, about("those that tell where it is")]
 
 
-class MachineObject(Record, kw_only=True):
+class MachineObject(Record):
     """The Python object of one axis."""
 
     address: Annotated[Text, about("`python:MODULE:FACTORY` makes an object with bluesky's `set` and `read`")]
     reading: Annotated[Text | None, about("which of its readings counts", usual="the one of its name")] = None
 
 
-class Machine(Record, kw_only=True):
+class Machine(Record):
     """A table or a chamber that moves by itself, and tells where it is."""
 
     kind: Annotated[str, one_of("text", "modbus", "object"), about("how it is driven: `text`, `modbus` or `object`")]

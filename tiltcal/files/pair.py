@@ -26,7 +26,7 @@ _DIGITS = 4
 _SPIN_DIGITS = 9
 
 
-class SpinRecord(Record, kw_only=True):
+class SpinRecord(Record):
     """The spin of the stage."""
 
     turns: Annotated[AboveZero, about("turns of the stage in the record")]
@@ -34,14 +34,14 @@ class SpinRecord(Record, kw_only=True):
     phase: Annotated[Text | None, about("column of the stage angle, degrees; absent if estimated")] = None
 
 
-class CoefficientUncertainty(Record, kw_only=True):
+class CoefficientUncertainty(Record):
     """Standard uncertainties of p and q."""
 
     p: Annotated[Size, about("of p")]
     q: Annotated[Size, about("of q")]
 
 
-class Suppression(Record, kw_only=True):
+class Suppression(Record):
     """The suppression of the common acceleration."""
 
     p: Annotated[Size, about("after p")]

@@ -40,7 +40,7 @@ class Determines(Record):
     free: Annotated[bool, about("nobody sets the positions: unit gravity determines; `axes: [x, y, z]`")] = False
 
 
-class PositionSection(Record, kw_only=True):
+class PositionSection(Record):
     """One of ``positions`` as it stands in a file."""
 
     name: Annotated[Identifier, about("unique; a letter, then letters, digits, `-`, `_`, `.`")]
@@ -66,7 +66,7 @@ class Soak(Record):
 USUAL_SOAK = "`{seconds: 20, drift: 0.06, thermometer: 360}`"
 
 
-class RampSection(Record, kw_only=True):
+class RampSection(Record):
     """How the temperature changes between the positions, which are the turning points of a ramp."""
 
     pace: Annotated[AboveZero, about("of the virtual chamber, and a proposal for a real one, °C/min")]
@@ -95,7 +95,7 @@ class RotationSection(Record):
     patience: Annotated[AboveZero, about("seconds in which the stage must begin to turn")] = 60.0
 
 
-class NamedProcedure(Record, kw_only=True):
+class NamedProcedure(Record):
     """What a procedure file says of itself."""
 
     name: Annotated[Identifier, about("a letter, then letters, digits, `-`, `_`, `.`")]

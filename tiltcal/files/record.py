@@ -2,7 +2,7 @@
 
 ::
 
-    class Spin(Record, kw_only=True):
+    class Spin(Record):
         turns: Annotated[AboveZero, about("turns of the stage in the record")]
         frequency: Annotated[AboveZero | None, about("of the spin, Hz")] = None
 

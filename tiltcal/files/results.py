@@ -39,7 +39,7 @@ Sensors = tuple[str | tuple[str, str], ...]
 Direction = Annotated[tuple[Finite, ...], Meta(min_length=3, max_length=3)]
 
 
-class PositionSet(Record, kw_only=True):
+class PositionSet(Record):
     """The attitude of a position as it was set."""
 
     tilt: Annotated[ByAxis[Finite] | None, about("angles, degrees")] = None
@@ -58,7 +58,7 @@ class PositionSet(Record, kw_only=True):
         return None if self.gravity is None else normalised(self.gravity)
 
 
-class CompletingRun(Record, kw_only=True):
+class CompletingRun(Record):
     """A procedure that completes a calibration, as run."""
 
     samples: Annotated[FromOne | None, about("per position")] = None
@@ -66,7 +66,7 @@ class CompletingRun(Record, kw_only=True):
     positions: Annotated[Names, about("their names")] = ()
 
 
-class ProcedureRecord(Record, kw_only=True):
+class ProcedureRecord(Record):
     """The procedure as run."""
 
     name: Annotated[Text | None, about("its name")] = None
@@ -83,7 +83,7 @@ class ProcedureRecord(Record, kw_only=True):
 Rows = tuple[int | tuple[Count, Count], ...]
 
 
-class PositionRecord(Record, kw_only=True):
+class PositionRecord(Record):
     """The readings of one position."""
 
     position: Annotated[Text, about("its name")]
@@ -108,7 +108,7 @@ class PositionRecord(Record, kw_only=True):
                 return tuple(part for part in rows or () if isinstance(part, tuple))
 
 
-class WorstResidual(Record, kw_only=True):
+class WorstResidual(Record):
     """The largest residual of a fit."""
 
     position: Annotated[Text, about("its position")]
@@ -116,28 +116,28 @@ class WorstResidual(Record, kw_only=True):
     residual: Annotated[Finite, about("measured − modelled, unit")]
 
 
-class SuspectPosition(Record, kw_only=True):
+class SuspectPosition(Record):
     """A position that is further off than the stated jig allows."""
 
     off_degrees: Annotated[Size, about("how far it is off, degrees")]
     chi_square: Annotated[Size | None, about("its share of chi-square")] = None
 
 
-class CrossValidation(Record, kw_only=True):
+class CrossValidation(Record):
     """The choice of the order of the drift: terms above it are 0, uncertain by the highest that was tried."""
 
     order: Annotated[FromOne, about("that was chosen; higher terms are 0, uncertain as the highest that was tried")]
     error_by_order: Annotated[ByName, about("mean square error of a left-out position, over its variance")] = {}
 
 
-class Hysteresis(Record, kw_only=True):
+class Hysteresis(Record):
     """The largest difference between two visits to one temperature."""
 
     difference: Annotated[Finite, about("the later visit less the earlier one, unit")]
     between: Annotated[tuple[Text, Text], about("the two positions")]
 
 
-class RampLeg(Record, kw_only=True):
+class RampLeg(Record):
     """A leg of a ramp, and how well it is predicted from the others."""
 
     way: Annotated[Text, about("`up` or `down`")]
@@ -148,7 +148,7 @@ class RampLeg(Record, kw_only=True):
     lagged: Annotated[ByAxis[Size], about("the same with a lag")]
 
 
-class RampFitRecord(Record, kw_only=True):
+class RampFitRecord(Record):
     """The thermal lag that a ramp shows."""
 
     lag: Annotated[Finite, about("that was found, s")]
@@ -158,7 +158,7 @@ class RampFitRecord(Record, kw_only=True):
     legs: Annotated[tuple[RampLeg, ...], about("the legs of the record")]
 
 
-class MountingFit(Record, kw_only=True):
+class MountingFit(Record):
     """The quality of the fit of a mounting."""
 
     residuals_degrees: Annotated[Mapping[str, Finite], about("per position, degrees")] = {}
@@ -168,7 +168,7 @@ class MountingFit(Record, kw_only=True):
     p_value: Annotated[Size | None, about("of so large a chi-square, the base's uncertainty among its causes")] = None
 
 
-class LevelFit(Record, kw_only=True):
+class LevelFit(Record):
     """The offset that a level position has renewed, against the one before."""
 
     change: Annotated[ByAxis[Finite], about("per channel, the new offset less the one before, unit")] = {}
@@ -179,7 +179,7 @@ class LevelFit(Record, kw_only=True):
     jig_degrees: Annotated[Size | None, about("the stated standard uncertainty of how level it was, degrees")] = None
 
 
-class FitRecord(Record, kw_only=True):
+class FitRecord(Record):
     """The quality of a fit, and the sources of its uncertainty."""
 
     residuals: Annotated[Mapping[str, ByAxis[Finite]], about("per position, measured − modelled, unit")] = {}
@@ -220,20 +220,20 @@ class FitRecord(Record, kw_only=True):
         return in_html("\n".join(f"  {name}  {one}" for name, value in plain(self).items() for one in _rows(value)))
 
 
-class DerivedCoverage(Record, kw_only=True):
+class DerivedCoverage(Record):
     """Coverage factors of derived quantities, for intervals of 95 %; or other numbers of theirs."""
 
     cross_axis_percent: Annotated[ByAxis[Size], about("per channel")] = {}
     misalignment_degrees: Annotated[ByAxis[Size], about("per channel")] = {}
 
 
-class DerivedUncertainty(DerivedCoverage, kw_only=True):
+class DerivedUncertainty(DerivedCoverage):
     """Standard uncertainties of derived quantities."""
 
     coverage_factor: Annotated[DerivedCoverage | None, about("of each, for an interval of 95 %")] = None
 
 
-class IntrinsicCoverage(Record, kw_only=True):
+class IntrinsicCoverage(Record):
     """Coverage factors of the intrinsic parameters, for intervals of 95 %; or other numbers of theirs."""
 
     offset: Annotated[ByAxis[Finite], about("per channel")] = {}
@@ -242,13 +242,13 @@ class IntrinsicCoverage(Record, kw_only=True):
     rotation_degrees: Annotated[Mapping[str, Finite], about("roll, pitch, yaw in the frame of set positions")] = {}
 
 
-class IntrinsicUncertainty(IntrinsicCoverage, kw_only=True):
+class IntrinsicUncertainty(IntrinsicCoverage):
     """Standard uncertainties of the intrinsic parameters."""
 
     coverage_factor: Annotated[IntrinsicCoverage | None, about("of each, for an interval of 95 %")] = None
 
 
-class IntrinsicRecord(IntrinsicCoverage, kw_only=True):
+class IntrinsicRecord(IntrinsicCoverage):
     """The parameters of a three-channel sensor that do not change with its mounting."""
 
     uncertainty: Annotated[IntrinsicUncertainty | None, about("standard uncertainties (k = 1) of the above")] = None
@@ -256,7 +256,7 @@ class IntrinsicRecord(IntrinsicCoverage, kw_only=True):
     left_handed: Annotated[Text | None, about("why there is no rotation")] = None
 
 
-class DerivedRecord(Record, kw_only=True):
+class DerivedRecord(Record):
     """Quantities derived from the coefficients."""
 
     cross_axis_percent: Annotated[ByAxis[Finite], about("per channel, % (Cross-axis Compensation, eq. 1)")] = {}
@@ -271,7 +271,7 @@ class DerivedRecord(Record, kw_only=True):
     scale_error_percent: Annotated[ByAxis[Finite], about("with `fit --gravity`, of readings in m/s²: %")] = {}
 
 
-class FileRecord(Record, kw_only=True):
+class FileRecord(Record):
     """A file that was read."""
 
     name: Annotated[Text, about("its name")]
@@ -283,14 +283,14 @@ class FileRecord(Record, kw_only=True):
         return cls(name=name, sha256=sha256(text.encode()).hexdigest())
 
 
-class LogRecord(FileRecord, kw_only=True):
+class LogRecord(FileRecord):
     """A log that was read."""
 
     rows: Annotated[Count | None, about("how many rows it has")] = None
     missing: Annotated[Count | None, about("how many of them were left out")] = None
 
 
-class SegmentsRecord(Record, kw_only=True):
+class SegmentsRecord(Record):
     """The origin of the still segments of a log: a file, or how they were found."""
 
     name: Annotated[Text | None, about("of their file")] = None
@@ -304,7 +304,7 @@ class SegmentsRecord(Record, kw_only=True):
     left_out: Annotated[Mapping[str, Text], about("holds that do not count, and why")] = {}
 
 
-class BenchSensorRecord(Record, kw_only=True):
+class BenchSensorRecord(Record):
     """One sensor on the stage of a pair calibration."""
 
     serial: Annotated[Text, about("its serial number")]
@@ -312,7 +312,7 @@ class BenchSensorRecord(Record, kw_only=True):
     address: Annotated[Text | None, about("its address")] = None
 
 
-class BenchRecord(Record, kw_only=True):
+class BenchRecord(Record):
     """The bench that measured."""
 
     address: Annotated[Text | None, about("of the sensor")] = None
@@ -324,7 +324,7 @@ class BenchRecord(Record, kw_only=True):
     sensors: Annotated[tuple[BenchSensorRecord, ...], about("of a pair: the sensors on the stage")] = ()
 
 
-class Reference(Record, kw_only=True):
+class Reference(Record):
     """A standard that a bench measures by, with its certificate."""
 
     id: Annotated[Text, about("of the instrument")]
@@ -336,7 +336,7 @@ class Reference(Record, kw_only=True):
 Standard = Annotated[str, one_of("table", "level", "thermometer")]  # what a bench measures by
 
 
-class Provenance(Record, kw_only=True):
+class Provenance(Record):
     """The provenance of a tilt calibration."""
 
     made_by: Annotated[Text | None, about("`measurement`, `the virtual bench …`, `fit of …`, `match of …`")] = None
@@ -358,14 +358,14 @@ class Provenance(Record, kw_only=True):
     ] = None
 
 
-class SamplesRecord(Record, kw_only=True):
+class SamplesRecord(Record):
     """The numbers of samples of a rotation."""
 
     used: Annotated[Count, about("samples that were used")]
     left_out: Annotated[Count, about("samples that were left out")]
 
 
-class PairProvenance(Provenance, kw_only=True):
+class PairProvenance(Provenance):
     """The provenance of a pair calibration."""
 
     link_statistics: Annotated[BySerial | None, about("by serial number, likewise")] = None  # type: ignore[assignment]

@@ -136,7 +136,7 @@ class TabledPosition:
     line: int | None
 
 
-class Direction(Record, kw_only=True):
+class Direction(Record):
     """The direction that points up, as a row of a table gives it."""
 
     gx: Annotated[Number | None, about("with `gy` and `gz` up, where the position is not the procedure's")] = None

@@ -27,7 +27,7 @@ SLOWEST = 1e-3  # lines a second of a virtual line, at least
 LEAST_OWN = 1e-6  # least sensitivity of a channel to its own axis, over its largest: its nonlinearity is along it
 
 
-class FaultSection(Record, kw_only=True):
+class FaultSection(Record):
     """One of ``faults`` as it stands in a file."""
 
     kind: Annotated[str, one_of(*FAULTS), about("`parity` of a memory, `stuck` reading, `silent` line, `unplugged`")]
@@ -35,7 +35,7 @@ class FaultSection(Record, kw_only=True):
     end: Annotated[Number, about("seconds after the session began")]
 
 
-class ThermalTruth(Record, kw_only=True):
+class ThermalTruth(Record):
     """``truth.temperature`` as it stands in a file."""
 
     reference: Annotated[Number, about("reference temperature, °C")]
@@ -43,7 +43,7 @@ class ThermalTruth(Record, kw_only=True):
     sensitivity: Annotated[Polynomials, about("as in a calibration file")] = {}
 
 
-class TruthSection(Record, kw_only=True):
+class TruthSection(Record):
     """The section ``truth`` of a tilt sensor as it stands in a file."""
 
     offset: Annotated[ByAxis[Number], about("as in a calibration file")]
@@ -61,14 +61,14 @@ class TruthSection(Record, kw_only=True):
     faults: Annotated[tuple[FaultSection, ...], about("a list of `{kind, start, end}`")] = ()
 
 
-class Gradient(Record, kw_only=True):
+class Gradient(Record):
     """``disk.gradient`` as it stands in a file."""
 
     differential: Annotated[Number, about("R (Γxx − Γyy), g")]
     cross: Annotated[Number, about("R Γxy, g")]
 
 
-class AccelerometerSection(Record, kw_only=True):
+class AccelerometerSection(Record):
     """One of ``disk.accelerometers`` as it stands in a file."""
 
     scale: Annotated[Number, about("unit/g")]
@@ -83,7 +83,7 @@ ByChannel = Annotated[
 ]
 
 
-class DiskSection(Record, kw_only=True):
+class DiskSection(Record):
     """``truth.disk`` as it stands in a file."""
 
     inclination: Annotated[Number | None, about("of the spin axis, degrees", usual="0.086")] = None
@@ -95,7 +95,7 @@ class DiskSection(Record, kw_only=True):
     accelerometers: Annotated[ByChannel | None, about("`a1` to `a4`", usual="the source's")] = None
 
 
-class StageSection(Record, kw_only=True):
+class StageSection(Record):
     """The section ``truth`` of a ``gradiometer`` as it stands in a file."""
 
     disk: Annotated[DiskSection, about("of a `gradiometer`, in place of all that a tilt sensor has")]
