@@ -82,16 +82,21 @@ def test_without_the_extra_it_says_what_to_install(
 def test_several_calibrations_of_one_sensor(tmp_path: Path) -> None:
     """The page is about the last; the changes are those since each of the others, in counts."""
     known = read_calibration(FIXTURES / "plane.yaml")
-    for name, counts in (("winter.yaml", -5.0), ("spring.yaml", 0.0), ("autumn.yml", 3.0)):
+    for name, counts in (("winter.yaml", -50.0), ("spring.yaml", 0.0), ("autumn.yml", 30.0)):
         offset = known.coefficients.offset + np.array([0.0, counts])
         changed = replace(known, coefficients=replace(known.coefficients, offset=offset))
         Calibration(changed).save(tmp_path / name)
     page = report("winter.yaml", "spring.yaml", "autumn.yml", folder=tmp_path)
     assert page.facts["Calibration file"] == "autumn.yml"
-    for name, change in (("winter.yaml", "8.000("), ("spring.yaml", "3.000(")):
+    for name, change in (("winter.yaml", "80.000("), ("spring.yaml", "30.000(")):
         (heading,) = [text for _, text in page.headings if text.startswith(f"Since {name}")]
         (row,) = [row for row in page.below(heading) if row[0] == "Offset of y"]
-        assert row[4].startswith(change)
+        told = json.loads(tiltcal("diff", name, "autumn.yml", "--json", cwd=tmp_path, code=1).stdout)
+        (of_y,) = (one for one in told["coefficients"] if one["name"] == "offset.y")
+        assert (row[4].startswith(change), row[-1]) == (True, f"{of_y['ratio']:.2f}")
+    marked = [row.find("th")[0].text for row in page.root.find("tr") if row.attributes.get("class") == "mark"]
+    assert marked == ["Offset of y"] * 2
+    assert sum(one.text.startswith("Changed: offset.y by more than") for one in page.root.find("p")) == 2
 
 
 # The part about a log says what `apply` says of it, whichever way it comes in.

@@ -51,15 +51,15 @@ def bracketed(value: float, uncertainty: float, digits: int = 1) -> str:
     return f"{round_to_place(value, place)}({int(rounded if place > 0 else rounded.scaleb(-place))})"
 
 
-def plus_minus(value: float, uncertainty: float, *, signed: bool = False) -> str:
+def plus_minus(value: float, uncertainty: float | None, *, signed: bool = False) -> str:
     """Return a value and its uncertainty with two digits of the uncertainty (GUM, 7.2.6): ``1020.68 ± 0.42``.
 
     Two small numbers share a power of ten: ``(2.10 ± 0.34)e-6``. Without an uncertainty (zero, or not finite) the value
     has six digits. Where ``signed``, a value above zero has a plus.
     """
     plus = "+" if signed and value > 0.0 else ""
-    if not (isfinite(uncertainty) and uncertainty > 0.0 and isfinite(value)):
-        return f"{plus}{value:.6g} ± {uncertainty:.2g}"
+    if not uncertainty or not (isfinite(uncertainty) and isfinite(value)):
+        return f"{plus}{value:.6g} ± {uncertainty or 0.0:.2g}"
     power = max(Decimal(number).adjusted() for number in (value, uncertainty) if number)
     if power < -_MOST_ZEROS:
         return f"({plus_minus(value * 10.0**-power, uncertainty * 10.0**-power, signed=signed)})e{power}"

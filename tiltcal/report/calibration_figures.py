@@ -12,7 +12,18 @@ from tiltcal.calibration.tilt_uncertainty import USUAL, TiltUncertainty
 from tiltcal.core.model import Array, Thermal, polynomial
 from tiltcal.core.uncertain import NORMAL_FACTOR
 from tiltcal.files.calibration import CalibrationRecord
-from tiltcal.report.figure import BLUE, CHANNELS, GREY, INK, RED, THIN, SvgFigure, picture, without_ticks, write_figure
+from tiltcal.report.figure import (
+    BLUE,
+    CHANNELS,
+    GREY,
+    INK,
+    LEGEND,
+    RED,
+    THIN,
+    SvgFigure,
+    picture,
+    write_figure,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -29,21 +40,18 @@ def tilt_figure(calibration: CalibrationRecord, curves: Mapping[str, TiltUncerta
     known = any(curve.before is not None for curve in curves.values())
 
     def plot(figure: Figure) -> None:
-        panels = figure.subplots(1, 1 + known, squeeze=False)[0]
+        *raw, calibrated = figure.subplots(1, 1 + known, squeeze=False).flat
         for axis, curve in curves.items():
             colour, _, line = CHANNELS[axis]
-            if curve.before is not None:
-                panels[0].plot(curve.tilt, curve.before, line, color=colour)
-            panels[-1].plot(curve.tilt, curve.alone, line, color=colour, label=f"tilt of {axis}")
-            panels[-1].plot(curve.tilt, curve.reading, line, color=colour, linewidth=THIN)
-        if known:
-            panels[0].axhline(0.0, color=INK)
-            panels[0].set_ylabel("error, data sheet [°]")
-        panels[-1].set_ylabel("95 % interval, calibrated: ± [°]")
-        panels[-1].set_ylim(bottom=0.0)
-        panels[-1].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, borderaxespad=0.1)
-        for panel in panels:
-            panel.set_xlabel("tilt [°]")
+            for panel in raw:
+                panel.plot(curve.tilt, curve.before, line, color=colour)
+            calibrated.plot(curve.tilt, curve.alone, line, color=colour, label=f"tilt of {axis}")
+            calibrated.plot(curve.tilt, curve.reading, line, color=colour, linewidth=THIN)
+        for panel in raw:
+            panel.axhline(0.0, color=INK)
+            panel.set(xlabel="tilt [°]", ylabel="error, data sheet [°]")
+        calibrated.set(xlabel="tilt [°]", ylabel="95 % interval, calibrated: ± [°]", ylim=(0.0, None))
+        calibrated.legend(**LEGEND)
 
     sides = "Left: error of the tilt with the coefficients of the data sheet. Right: half" if known else "Half"
     return picture(
@@ -68,14 +76,12 @@ def residual_figure(calibration: CalibrationRecord) -> SvgFigure | None:
         return None
 
     def plot(figure: Figure) -> None:
-        panels = figure.subplots(1, len(coefficients.channels), sharey=True, sharex=True, squeeze=False)[0]
-        for panel, channel in zip(panels, coefficients.channels, strict=True):
+        panels = figure.subplots(1, len(coefficients.channels), sharey=True, sharex=True, squeeze=False)
+        for panel, channel in zip(panels.flat, coefficients.channels, strict=True):
             _plot_residuals_of(panel, calibration, positions, channel)
-        panels[0].set_yticks(range(len(positions)), positions)
-        panels[0].set_ylim(len(positions) - 0.4, -0.6)
 
     worst = "; ".join(
-        f"channel {channel}: none beyond {max(abs(residuals[name].get(channel, 0.0)) for name in positions):.3g}"
+        f"channel {channel}: none beyond {max(abs(row.get(channel, 0.0)) for row in residuals.values()):.3g}"
         for channel in coefficients.channels
     )
     return picture(
@@ -96,22 +102,20 @@ def _plot_residuals_of(panel: Axes, calibration: CalibrationRecord, positions: l
     colour, mark, _ = CHANNELS[channel]
     panel.axvline(0.0, color=INK)
     for row, name in enumerate(positions):
-        value = residuals[name].get(channel)
-        if value is not None:
+        if (value := residuals[name].get(channel)) is not None:
             panel.hlines(row, 0.0, value, color=GREY, linewidth=THIN)
-            bar = NORMAL_FACTOR * u.get(name, 0.0)
-            panel.errorbar(value, row, xerr=bar, color=colour, marker=mark)
+            panel.errorbar(value, row, xerr=NORMAL_FACTOR * u.get(name, 0.0), color=colour, marker=mark)
+    panel.set_yticks(range(len(positions)), positions)
+    panel.set_ylim(len(positions) - 0.4, -0.6)
     panel.set_xlabel(f"residual of {channel} [{calibration.sensor.fitted_unit}]")
-    without_ticks(panel)
 
 
 def temperature_figure(calibration: CalibrationRecord) -> SvgFigure | None:
-    """Return offset over temperature per channel, and the sensitivity drift if there is one; None without both."""
+    """Return offset over temperature per channel, and the sensitivity drift if there is one; None if not measured."""
     coefficients, thermal = calibration.coefficients, calibration.coefficients.thermal
-    if thermal is None:
+    if thermal is None or thermal.range is None:
         return None
-    gains = bool(thermal.gain.any())
-    low, high = calibration.limits.temperature or thermal.range or (thermal.reference - 10.0, thermal.reference + 10.0)
+    gains, (low, high) = bool(thermal.gain.any()), thermal.range
     t = np.linspace(low, high, POINTS)
 
     def plot(figure: Figure) -> None:
@@ -187,15 +191,15 @@ def draw_tilt_error(
 
     def plot(figure: Figure) -> None:
         panels = figure.subplots(len(before) + 1, 1, sharex=True, height_ratios=[*([2.0] * len(before)), 1.0])
-        for panel, axis in zip(panels, before, strict=False):
+        *errors, below = panels
+        for panel, axis in zip(errors, before, strict=True):
             panel.axhline(0.0, color=INK)
             panel.plot(time / 60, before[axis], color=RED, label="data sheet's coefficients")
             panel.plot(time / 60, after[axis], color=BLUE, label="calibrated")
             panel.set_ylabel(f"error of {axis} tilt [°]")
-        figure.suptitle(title, x=0.08, ha="left", fontsize=11)
-        panels[0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, borderaxespad=0.1)
-        panels[-1].plot(time / 60, temperature, color=GREY)
-        panels[-1].set_ylabel("T [°C]")
-        panels[-1].set_xlabel("time [min]")
+            panel.legend(**LEGEND)
+        figure.suptitle(title)
+        below.plot(time / 60, temperature, color=GREY)
+        below.set(ylabel="T [°C]", xlabel="time [min]")
 
     write_figure(path, 2.0 + 1.7 * len(before), plot)

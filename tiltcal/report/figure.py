@@ -16,7 +16,6 @@ from tiltcal.files.atomic import whole_file
 from tiltcal.report.numbers import SUPERSCRIPT
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     Plot = Callable[[Figure], None]
@@ -99,12 +98,6 @@ def save(plot: Plot, stream: BinaryIO, width: float, height: float, salt: str = 
             axis.set_minor_formatter(LogFormatter())  # type: ignore[attr-defined]
         # Figure.savefig draws a figure with a layout twice, the first time for the layout alone.
         FigureCanvasSVG(figure).print_svg(stream, metadata={"Date": None, "Creator": "tiltcal"})  # type: ignore[no-untyped-call]
-
-
-def without_ticks(panel: Axes) -> None:
-    """Leave the vertical axis of a panel with its words alone."""
-    panel.tick_params(axis="y", length=0)
-    panel.spines["left"].set_visible(False)
 
 
 def _inline(svg: str, name: str, title: str, description: str) -> str:

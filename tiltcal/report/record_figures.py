@@ -26,7 +26,6 @@ from tiltcal.report.figure import (
     RED,
     SvgFigure,
     picture,
-    without_ticks,
     write_figure,
 )
 from tiltcal.report.numbers import at_place
@@ -90,7 +89,6 @@ def log_figure(log: ReportedLog, number: int) -> SvgFigure:
             strip.vlines(time[share > 0.0], 0.0, height, color=colour)
         strip.set(ylim=(0.0, 1.0), xlabel=label)
         strip.set_yticks([0.5], ["flags"])
-        without_ticks(strip)
         panels[-1, 1].set_axis_off()
 
     least, most = np.nanmin(overview.low, axis=0), np.nanmax(overview.high, axis=0)
@@ -188,7 +186,7 @@ def draw_matching(path: Path, drawing: PairDrawing) -> None:
 def _plot_spectra(panel: Axes, drawing: PairDrawing) -> None:
     """Plot amplitude densities at all frequencies above 0, with a line at the spin frequency."""
     panel.axvline(drawing.spin, color=INK, linestyle=":", label="spin frequency")
-    for (name, density), colour in zip(drawing.densities.items(), _STAGES, strict=False):
+    for (name, density), colour in zip(drawing.densities.items(), _STAGES, strict=True):
         panel.loglog(drawing.frequency[1:], density[1:] ** 0.5, color=colour, label=name)
     panel.set_xlabel(f"frequency [{drawing.unit}]")
     panel.set_ylabel(f"amplitude density [reading/√({drawing.unit})]")
@@ -237,7 +235,6 @@ def distribution_figure(fleet: ModelFleet, number: int) -> SvgFigure | None:
                 _plot_row(panel, row, distribution)
             panel.set_yticks(range(len(rows)), [label(one.name).words for one in rows])
             panel.set_ylim(len(rows) - 0.4, -0.6)
-            without_ticks(panel)
             units = {label(one.name, fleet.unit).unit for one in rows}
             panel.set_xlabel(f"{kind} [{units.pop()}]" if len(units) == 1 else kind)
 
@@ -254,7 +251,7 @@ def distribution_figure(fleet: ModelFleet, number: int) -> SvgFigure | None:
 def _of_kind(fleet: ModelFleet, kind: str) -> list[CoefficientDistribution]:
     """Return the distributions of a kind that vary; of sensitivities those to the channel's own axis."""
     rows = [one for one in fleet.distributions if one.name.startswith(f"{kind}.") and len(set(one.values.values())) > 1]
-    return [one for one in rows if kind != "sensitivity" or len(set(one.name.split(".")[1:])) == 1]
+    return [one for one in rows if " to " not in label(one.name).words]
 
 
 def _plot_row(panel: Axes, row: int, distribution: CoefficientDistribution) -> None:
@@ -265,12 +262,11 @@ def _plot_row(panel: Axes, row: int, distribution: CoefficientDistribution) -> N
     panel.plot([middle - reach, middle + reach], [row, row], color=GREY, linewidth=4.0)
     panel.plot(middle, row, "|", color=INK, markersize=9.0)
     # Every other dot stands a little lower, so that neighbours do not hide one another.
-    aside = row + 0.11 * (np.argsort(np.argsort(values)) % 3 - 1)
-    panel.plot(values, aside, mark, color=colour)
+    panel.plot(values, row + np.resize([-0.11, 0.0, 0.11], len(values)), mark, color=colour)
     for serial in distribution.outliers:
         place = distribution.values[serial], row
         panel.plot(*place, "o", markersize=7.0, markerfacecolor="none", markeredgecolor=RED)
-        panel.annotate(serial, place, (0, -9), textcoords="offset points", ha="center", fontsize=7, color=RED)
+        panel.annotate(serial, place, (0, -9), textcoords="offset points", ha="center", color=RED)
 
 
 def change_figure(fleet: ModelFleet, number: int) -> SvgFigure | None:
@@ -280,10 +276,11 @@ def change_figure(fleet: ModelFleet, number: int) -> SvgFigure | None:
 
     def plot(figure: Figure) -> None:
         channels = fleet.histories[0].sensor.channels
-        panels = figure.subplots(1, len(channels), sharey=True, squeeze=False)[0]
-        for panel, channel in zip(panels, channels, strict=True):
+        panels = figure.subplots(1, len(channels), squeeze=False)
+        for panel, channel in zip(panels.flat, channels, strict=True):
             _plot_changes(panel, fleet, channel)
-        panels[0].set_ylabel("change of the offset [mg]")
+            panel.set_ylabel(f"change of the offset of {channel} [mg]")
+        figure.autofmt_xdate()
 
     return picture(
         f"drift-{number}",
@@ -306,5 +303,3 @@ def _plot_changes(panel: Axes, fleet: ModelFleet, channel: str) -> None:
             dates = [calibration.date for calibration in history.calibrations]
             change = milligravity * (values - values[0])
             panel.errorbar(dates, change, yerr=abs(milligravity) * u, color=colour, marker=mark)  # type: ignore[arg-type]
-    panel.tick_params(axis="x", labelrotation=30)
-    panel.set_title(channel)

@@ -195,7 +195,7 @@ def verdict(calibration: CalibrationRecord) -> Iterator[str]:
         yield f"Mounting: {'; '.join(line.strip() for line in mounting_fit_lines(fit.mounting))}."
     if (level := fit.level) is not None:
         changes = [
-            f"{channel} by {signed(plus_minus(change, level.change_uncertainty.get(channel, 0.0)))} {unit}"
+            f"{channel} by {signed(plus_minus(change, level.change_uncertainty.get(channel)))} {unit}"
             for channel, change in level.change.items()
         ]
         yield f"A level position has renewed the offset: it changed in {' and in '.join(changes)}; {level.verdict}."

@@ -126,10 +126,10 @@ def _quantities(rows: Sequence[Quantity]) -> Table:
 
 def budget_table(calibration: CalibrationRecord) -> Table | None:
     """Return the share of the variance of each coefficient by source; None if the file states none."""
-    budget, coefficients = calibration.fit.budget, list(values(calibration.coefficients))
+    budget = calibration.fit.budget
     if not budget:
         return None
-    names = sorted(budget, key=lambda name: coefficients.index(name) if name in coefficients else len(coefficients))
+    names = [name for name in dict.fromkeys([*values(calibration.coefficients), *budget]) if name in budget]
     stated = {source for shares in budget.values() for source in shares}
     sources = [*(source for source in SOURCES if source in stated), *sorted(stated - set(SOURCES))]
     columns = _coefficients(names)
