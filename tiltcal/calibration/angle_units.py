@@ -5,9 +5,9 @@ The unit decides it here; all that follows asks the coefficients (:mod:`tiltcal.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
-from math import cos, radians, sin
+from math import cos, inf, radians, sin
 
 import numpy as np
 
@@ -92,41 +92,41 @@ def with_convention(sensor: MeasuredSensor, procedure: PositionProcedure, bench:
     from tiltcal.calibration.fit import observed_sensor
     from tiltcal.core.estimation.estimate import estimate_jointly
 
-    readings = sensor.sensor.angle_readings
-    undecided = readings is not None and readings.euler is None and {"x", "y"} <= set(sensor.sensor.channels)
-    if not (undecided and procedure.axes and shows_convention([one.gravity for one in sensor.measurements])):
+    attitudes = [one.gravity for one in sensor.measurements]
+    if not (_undecided(sensor.sensor) and procedure.axes and shows_convention(attitudes)):
         return sensor
-    squares = {}
-    for name in (INCLINATION, EULER):
-        tried = replace(sensor, sensor=sensor.sensor.replaced(angles=name))
+
+    def misfit(tried: MeasuredSensor) -> float:
         try:
             (found,) = estimate_jointly([observed_sensor(tried, procedure, bench)])
         except EstimateError:
-            continue
-        squares[name] = float(np.sum(found.residuals**2))
-    best = min(squares, key=squares.__getitem__, default=None)
-    if best is None or any(squares[best] * CLEARLY > other for name, other in squares.items() if name != best):
-        return sensor
-    return replace(sensor, sensor=sensor.sensor.replaced(angles=best))
+            return inf
+        return float(np.sum(found.residuals**2))
+
+    either = [replace(sensor, sensor=sensor.sensor.replaced(angles=name)) for name in (INCLINATION, EULER)]
+    best, worst = sorted((misfit(tried), k) for k, tried in enumerate(either))
+    return sensor if best[0] * CLEARLY > worst[0] else either[best[1]]
 
 
-def remarks(before: MeasuredSensor, sensor: MeasuredSensor) -> tuple[str, ...]:
-    """Return what is said of a sensor that prints angles: what was left out, and the convention."""
-    readings = sensor.sensor.angle_readings
-    if readings is None:
-        return ()
+def _undecided(sensor: SensorIdentity) -> bool:
+    """Return whether it counts, and is not stated, whether the readings are inclinations or Euler angles."""
+    readings = sensor.angle_readings
+    return readings is not None and readings.euler is None and {"x", "y"} <= set(sensor.channels)
+
+
+def remarks(before: MeasuredSensor, sensor: MeasuredSensor) -> Iterator[str]:
+    """Yield what is said of a sensor that prints angles: what was left out, and the convention."""
     kept = {one.position for one in sensor.measurements}
-    out = [one.position for one in before.measurements if one.position not in kept]
-    found = [f"{', '.join(out)} left out: {FEWER}"] if out else []
-    if len(sensor.sensor.channels) > 1 and readings.euler is None:
-        found.append(
+    if out := [one.position for one in before.measurements if one.position not in kept]:
+        yield f"{', '.join(out)} left out: {FEWER}"
+    if _undecided(sensor.sensor):
+        yield (
             "inclinations or Euler angles is not stated (--angles), and no position shows it: rows in which both axes "
             "exceed 5° are suspect"
         )
-    return tuple(found)
 
 
-def finished(record: CalibrationRecord, said: Sequence[str]) -> CalibrationRecord:
+def finished(record: CalibrationRecord, said: Iterable[str]) -> CalibrationRecord:
     """Return a record as its file is read again, with what is said of it."""
     coefficients = replace(record.coefficients, angles=record.sensor.angle_readings)
     return replace(record, coefficients=coefficients, fit=record.fit.replaced(notes=(*record.fit.notes, *said)))

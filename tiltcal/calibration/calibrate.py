@@ -46,7 +46,7 @@ def calibrate(
     for sensor in sensors:
         require_own_readings(sensor)
     measured, sensors = sensors, [read_in_degrees(sensor, procedure, angles) for sensor in sensors]
-    step = max((sensor.thermometer_rounding or 0.0 for sensor in sensors), default=0.0)
+    step = max(sensor.thermometer_rounding for sensor in sensors)
     known = bench if bench.thermometer is not None else replace(bench, thermometer=step or None)
     sensors = [with_convention(sensor, procedure, known) for sensor in sensors]
     for sensor in sensors if table and isinstance(procedure, Positions) else ():

@@ -197,7 +197,8 @@ def _of_values(sessions: Sequence[CombinedSession], design: Design) -> Estimate:
     for k, name in enumerate(design.names):
         covariance[k, k] += design.priors[name].u ** 2 if name in held else 0.0
     dof, rise = len(target) - len(names), float(np.sum((target - jacobian[:, wanted] @ theta[wanted]) ** 2))
-    if dof and chdtrc(dof, rise) < REFUSED:
+    p = float(chdtrc(dof, rise)) if dof else None
+    if p is not None and p < REFUSED:
         raise _contradiction(sessions, rise, dof)
     positions = tuple(s.named(name) for s in sessions for name in s.record.fit.residuals)
     each = [[row[c] for c in design.channels] for s in sessions for row in s.record.fit.residuals.values()]
@@ -207,8 +208,8 @@ def _of_values(sessions: Sequence[CombinedSession], design: Design) -> Estimate:
         positions=positions,
         residuals=np.array(each),
         dof=dof,
-        chi_square=rise if dof else None,
-        p=float(chdtrc(dof, rise)) if dof else None,
+        chi_square=rise,
+        p=p,
         stated=True,
     )
 
@@ -336,7 +337,7 @@ def _record(sessions: Sequence[CombinedSession], found: Estimate, design: Design
 def _uncertainty(sessions: Sequence[CombinedSession], found: Estimate) -> Uncertainty:
     """Return the uncertainty of all coefficients, and that of a mounting with its covariance."""
     each, joint = [session.record.uncertainty for session in sessions], found.uncertain
-    mounted = next((session.record for session in sessions if session.coefficients.mounting), sessions[0].record)
+    mounted = max(sessions, key=lambda session: session.coefficients.mounting is not None).record
     angles, factors = (
         {name: value for name, value in its.items() if name.startswith("mounting.")}
         for its in (mounted.uncertainty, mounted.uncertainty.coverage_factor)

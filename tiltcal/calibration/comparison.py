@@ -190,7 +190,7 @@ class Comparison:
         if self.verdict.word != "changed":
             return self.verdict.word + rest
         moved = (
-            f"{one.name} by {plus_minus(one.difference, one.u or 0.0, signed=True)} "
+            f"{one.name} by {plus_minus(one.difference, one.u, signed=True)} "
             f"{label(one.name, self.sensor.unit).unit}".rstrip()
             for one in self.changes
             if one.name in self.verdict.changed

@@ -44,14 +44,21 @@ def fit_jointly(
 
 
 def record_of(
-    found: Estimate, design: Design, sensor: MeasuredSensor, procedure: PositionProcedure
+    found: Estimate,
+    design: Design,
+    sensor: MeasuredSensor,
+    procedure: PositionProcedure,
+    warmth: tuple[float, float] | None = None,
 ) -> CalibrationRecord:
-    """Return the calibration of an estimate from a sensor's measurements, rounded to its uncertainty."""
+    """Return the calibration of an estimate from a sensor's measurements, rounded to its uncertainty.
+
+    ``warmth`` is the range of temperatures of a record, °C; else that of the positions counts.
+    """
     measurements, assumed = sensor.measurements, ""
     if design.assumes_sensitivity:
         assumed = "nominal of the model" if sensor.base is None else OF_BASE
     coefficients = rounded(found)
-    limits = _limits(design, sensor, coefficients)
+    limits = _limits(design, sensor, coefficients, warmth)
     if coefficients.thermal is not None:
         coefficients = replace(coefficients, thermal=replace(coefficients.thermal, range=limits.temperature))
     return CalibrationRecord(
@@ -181,12 +188,13 @@ def _reading(measurements: Sequence[Measurement], design: Design, shown: float |
     return known
 
 
-def _limits(design: Design, sensor: MeasuredSensor, coefficients: Coefficients) -> Limits:
+def _limits(
+    design: Design, sensor: MeasuredSensor, coefficients: Coefficients, warmth: tuple[float, float] | None
+) -> Limits:
     """Return the ranges that were covered: tilts or directions, which are the base's if there is one, °C, and rails."""
-    met = [measurement.temperature for measurement in sensor.measurements if measurement.temperature is not None]
-    warmth = None
-    if coefficients.thermal is not None:
-        step = sensor.temperature_step or sqrt(12.0) * (sensor.thermometer_rounding or 0.0)
+    if coefficients.thermal is not None and warmth is None:
+        met = [measurement.temperature for measurement in sensor.measurements if measurement.temperature is not None]
+        step = sensor.temperature_step or sqrt(12.0) * sensor.thermometer_rounding
         warmth = outwards(min(met), max(met), TEMPERATURE_DIGITS, step)
     limits = Limits({}, warmth, dict(rails_of(design.channels, sensor.nominal, sensor.base)))
     if sensor.base is not None:

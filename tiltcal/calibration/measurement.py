@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tiltcal.core.angle_readings import DEGREES
 from tiltcal.core.attitude import STRAIGHT, Orientation
 from tiltcal.core.model import AXES, Coefficients
 from tiltcal.core.plausibility import UNKNOWN_OFFSET
@@ -87,7 +86,7 @@ class MeasuredSensor:
     measurements: Sequence[Measurement]
     nominal: Model | None = None  # its facts stand in for what a procedure does not determine; None: not known
     orientation: Sequence[Sequence[float]] = STRAIGHT.matrix  # takes a vector of the fixture's frame to the sensor's
-    thermometer_rounding: float | None = None  # u by the step of its own thermometer, °C; None where another was read
+    thermometer_rounding: float = 0.0  # u by the step of its own thermometer, °C; 0 where another was read
     base: CalibrationRecord | None = None  # its calibration, which is completed, or lends its sensitivity
     ramp: RampRecord | None = None  # the record of a ramp, whose one measurement is the attitude
     attitude_stated: bool = True  # of a ramp: else its base says in which attitude it was, and keeps its offset
@@ -244,8 +243,4 @@ def remarks_on_wiring(coefficients: Coefficients, unit: str) -> Iterator[str]:
     for channel, row in zip(coefficients.channels, coefficients.sensitivity, strict=True):
         size, usual = coefficients.per_radian * float(np.linalg.norm(row)), near_level_of(unit)
         if usual and not usual / CLEARLY < size < usual * CLEARLY:
-            half = f"{channel} reads {size / 2:.3g} {unit} for 0.5 g, which is {usual / 2:.3g} {unit}"
-            tilts, between = unit in OF_TILT, DEGREES / CLEARLY < size < DEGREES * CLEARLY
-            other = "degrees" if between and not tilts else f"in {unit}"
-            other = "components of gravity, in g" if tilts and size < CLEARLY else other
-            yield f"{half}: are the readings {other}?"
+            yield f"{channel} reads {size:.3g} {unit} where {usual:.3g} {unit} are 1 g: are the readings in {unit}?"

@@ -127,7 +127,7 @@ def predict(
             reached = expected(further[:count], proposing=False)
             halves = half_widths(reached.coefficients, reached.uncertain, limits)
             by_count[count] = max(float(halves[axis][1].max()) for axis in bench.instrument.axes)
-    headings = {(position.heading or 0.0) % 360.0 for position in procedure.positions}
+    headings = {position.heading or 0.0 for position in procedure.positions}
     not_covered = LEAN if len(headings) == 1 and bench.table_lean is None and not design.free else None
     data = {
         "noise": scatter,
@@ -238,8 +238,7 @@ def _assumed(bench: BenchUncertainty) -> str:
 
 def _along_ramp(procedure: Ramp) -> Ramp:
     """Return a ramp as positions on the way between its turning points, by which its uncertainty is predicted."""
-    turns = [position.temperature or 0.0 for position in procedure.positions]
-    ways = pairwise([procedure.reference or turns[-1], *turns])
+    ways = pairwise([procedure.reference, *procedure.turns])
     positions = tuple(
         replace(procedure.positions[0], name=f"leg-{leg}-{part + 1}", temperature=start + (end - start) * part / PARTS)
         for leg, (start, end) in enumerate(ways, start=1)

@@ -317,10 +317,9 @@ class CoefficientDistribution:
 
     @property
     def outliers(self) -> tuple[str, ...]:
-        """Serial numbers, the most extreme first; none where more than half of the sensors have one value."""
+        """Serial numbers, ascending in value; none where more than half of the sensors have one value."""
         middle, reach = self.median, FAR * self.spread
-        far = {serial: abs(value - middle) for serial, value in self.values.items()}
-        return tuple(sorted((serial for serial in far if far[serial] > reach > 0.0), key=lambda serial: -far[serial]))
+        return tuple(serial for serial, value in self.values.items() if abs(value - middle) > reach > 0.0)
 
     def __str__(self) -> str:
         low, *_, high = self.values.values()

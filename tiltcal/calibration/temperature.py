@@ -101,14 +101,10 @@ def with_order(procedure: Positions, order: int) -> Positions:
 
 def _with_open_order(calibration: CalibrationRecord, highest: CalibrationRecord) -> CalibrationRecord:
     """Return a calibration with drift terms of 0 up to the order of ``highest``, and the uncertainty of that order."""
-    thermal, wider = calibration.coefficients.thermal, highest.coefficients.thermal
-    if thermal is None or wider is None or thermal.drift.shape == wider.drift.shape:
-        return calibration
-    drift = np.zeros_like(wider.drift)
-    drift[:, : thermal.drift.shape[1]] = thermal.drift
+    own = dict.fromkeys(values(highest.coefficients), 0.0) | values(calibration.coefficients)
     return replace(
         calibration,
-        coefficients=replace(calibration.coefficients, thermal=replace(thermal, drift=drift)),
+        coefficients=with_vector(highest.coefficients, list(own), np.array(list(own.values()))),
         uncertainty=highest.uncertainty,
         fit=calibration.fit.replaced(budget=highest.fit.budget),
     )
@@ -215,11 +211,11 @@ def calibrate_ramp(sensor: MeasuredSensor, procedure: Ramp, bench: BenchUncertai
         raise EstimateError(f"{procedure.name} takes a continuous record, and there is none of {sensor.sensor.serial}")
     record, attitude = sensor.ramp, sensor.measurements[0]
     low, high = _range(record.temperature)
-    stated = procedure.reference
-    reference = stated if stated is not None and low <= stated <= high else round((low + high) / 2.0, 1)
+    reference = procedure.reference if low <= procedure.reference <= high else round((low + high) / 2.0, 1)
     renews = sensor.base is None or sensor.attitude_stated or bench.jig is not None
-    at = None if sensor.base is None else sensor.base.temperature
-    if not renews and at is not None and low <= at <= high:
+    of_base = None if sensor.base is None else sensor.base.temperature
+    at = of_base if of_base is not None and low <= of_base <= high else reference  # where the base is compared
+    if not renews:
         reference = at
     design = design_of(sensor.sensor, procedure, bench, nominal=sensor.nominal, base=sensor.base)
     _require_sound(record, design.channels)
@@ -228,12 +224,11 @@ def calibrate_ramp(sensor: MeasuredSensor, procedure: Ramp, bench: BenchUncertai
     # thermometer's noise, which the means average.
     element = fit.means.temperature(fit.lag) + reference
     element = ThermalLag(fit.lag)(record.time, record.temperature) if fit.lag >= 0.0 else element
-    limits = _range(element, record.step or sqrt(12.0) * (sensor.thermometer_rounding or 0.0))
+    limits = _range(element, record.step or sqrt(12.0) * sensor.thermometer_rounding)
     design = replace(design, drift=fit.order, reference=reference)
     known, notes = None, [record.jumps] if record.jumps else []
     if sensor.base is not None:
-        changed = 0.0 if at is None or not low <= at <= high else at - reference
-        seen = fit.coefficients @ changed ** np.arange(fit.order + 1)
+        seen = fit.coefficients @ (at - reference) ** np.arange(fit.order + 1)
         if renews:
             _require_attitude(sensor.base, seen, attitude, hypot(bench.jig or 0.0, bench.table_lean or 0.0))
         else:
@@ -245,23 +240,17 @@ def calibrate_ramp(sensor: MeasuredSensor, procedure: Ramp, bench: BenchUncertai
     groups = _groups(fit, record, attitude)
     estimate = _estimate(fit, design, groups, _gain_of(sensor, reference), known)
     estimate = replace(estimate, notes=(*estimate.notes, *notes))
-    made = record_of(estimate, design, replace(sensor, measurements=groups), procedure)
-    coefficients, standard = made.coefficients, made.uncertainty.standard
-    if coefficients.thermal is not None:
-        lag = round_to(fit.lag, fit.u_lag) if fit.uses_lag else 0.0
-        coefficients = replace(coefficients, thermal=replace(coefficients.thermal, range=limits, lag=lag))
+    made = record_of(estimate, design, replace(sensor, measurements=groups), procedure, limits)
+    standard, reading = made.uncertainty.standard, made.uncertainty.single_reading
     if fit.uses_lag:
         standard = {**standard, "temperature.lag": significant(fit.u_lag, 4)}
-    reading = made.uncertainty.single_reading
     if u_temperature := _reading_uncertainty(fit, record, bench.thermometer, sensor.thermometer_rounding):
         reading = {**reading, "temperature": significant(u_temperature, 4)}
     assumed = made.derived.assumed if known is None else (*made.derived.assumed, f"offset: {OF_BASE}")
     return replace(
         made,
         derived=made.derived.replaced(assumed=assumed),
-        coefficients=coefficients,
         uncertainty=replace(made.uncertainty, standard=standard, single_reading=reading),
-        limits=replace(made.limits, temperature=limits),
         fit=made.fit.replaced(
             cross_validation=_validation(fit.order, fit.error_by_order),
             hysteresis=_largest_loops(fit, design.channels),
@@ -285,7 +274,7 @@ def _require_sound(record: RampRecord, channels: Sequence[str]) -> None:
             )
 
 
-def _reading_uncertainty(fit: RampFit, record: RampRecord, stated: float | None, own: float | None) -> float:
+def _reading_uncertainty(fit: RampFit, record: RampRecord, stated: float | None, own: float) -> float:
     """Return the standard uncertainty of a temperature in a log, °C, with those that are stated or of the step."""
     # The inverse filter amplifies what is random in it.
     random = (not stated and own) or record.step / sqrt(12.0)
@@ -351,7 +340,13 @@ def _estimate(
         design.axes,
         np.zeros(len(channels)),
         np.array([[channel == axis for axis in design.axes] for channel in channels], dtype=float),
-        Thermal(design.reference, None, fit.coefficients[:, 1:].copy(), np.zeros((len(channels), 0))),
+        Thermal(
+            design.reference,
+            None,
+            fit.coefficients[:, 1:].copy(),
+            np.zeros((len(channels), 0)),
+            round_to(fit.lag, fit.u_lag) if fit.uses_lag else 0.0,
+        ),
         nonlinearity=np.zeros((len(channels), design.nonlinearity)) if design.nonlinearity else None,
         angles=design.angles,
     )
@@ -415,7 +410,7 @@ def _sources(
         yield errors(PRIOR, np.stack([followed[name] for name in together.names], axis=1), together.covariance)
     across = np.array([np.cross(up, reading.by_gravity[0]) for reading in readings])
     for source, u in ((JIG, design.jig), (TABLE, design.table_lean)):
-        if u and u < inf:
+        if u:
             yield errors(source, offsets @ across, radians(u) ** 2 * np.eye(3))
     if design.thermometer:
         slopes = np.pad(fit.coefficients[:, 1:] * np.arange(1, fit.order + 1), ((0, 0), (0, 1)))
@@ -435,7 +430,7 @@ def _groups(fit: RampFit, record: RampRecord, attitude: Measurement) -> list[Mea
     means, groups = fit.means, []
     temperatures = means.temperature(0.0) + means.reference
     for name, part in _parts(fit):
-        n = max(round(record.rows / len(means.leg) * len(part)), 1)
+        n = round(record.rows / len(means.leg) * len(part))
         summaries = {
             channel: SampleSummary(float(values.mean()), float(noise), n, float(noise) / sqrt(n))
             for channel, values, noise in zip(attitude.summaries, means.readings[part].T, record.noise, strict=True)

@@ -9,19 +9,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
-from math import acos, cos, degrees, hypot, inf, isnan, radians, sqrt
+from math import asin, cos, degrees, hypot, inf, isnan, radians
 from typing import Any
 
 import numpy as np
 
 from tiltcal.calibration.measurement import BenchUncertainty, Measurement
 from tiltcal.calibration.record import compensation_of
-from tiltcal.core.attitude import tilt_from_gravity
+from tiltcal.core.attitude import normalised
 from tiltcal.core.model import AXES
 from tiltcal.core.rounding import plus_minus
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
 
 PASSED, FAILED, UNDECIDED = "passed", "failed", "not decided"
+LOUD = {FAILED: "FAILED"}
 
 LIMIT = 0.5  # the largest tilt error that passes where none is stated, degrees
 EXACT = BenchUncertainty()  # positions count as exact where nothing is stated of the bench
@@ -84,10 +85,10 @@ class Verification:
         lines = [f"{self.sensor.model} {self.sensor.serial}, limit {self.limit:g}°"]
         for one in self.positions:
             angles = (f"{axis} {set_:+8.3f}° read {one.measured[axis]:+8.3f}°" for axis, set_ in one.expected.items())
-            off = f"off by {plus_minus(one.error, one.expanded)}°   {_loud(one.verdict(self.limit))}"
+            off = f"off by {plus_minus(one.error, one.expanded)}°   {LOUD.get(said := one.verdict(self.limit), said)}"
             lines.append(f"  {one.position:<12} {'  '.join(angles)}   {off}")
         worst = f"worst {plus_minus(self.worst.error, self.worst.expanded)}° at {self.worst.position}"
-        return "\n".join([*lines, f"{_loud(self.verdict)}: {worst}"])
+        return "\n".join([*lines, f"{LOUD.get(self.verdict, self.verdict)}: {worst}"])
 
 
 def verify(
@@ -107,10 +108,11 @@ def verify(
     if bench.instrument is not None:
         errors_of_reference = bench.instrument.moves(attitudes, np.arange(len(attitudes)))
     for measurement, moves in zip(measurements, np.linalg.norm(errors_of_reference, axis=2), strict=True):
-        temperature = None if measurement.temperature is None else np.array([measurement.temperature])
         readings = np.array([[measurement.summaries[channel].mean for channel in coefficients.channels]])
-        result, up = compensation(readings, temperature), measurement.gravity
-        tilts = {**tilt_from_gravity(up), "z": 90.0 - degrees(acos(max(-1.0, min(1.0, up[2]))))}
+        result = compensation(readings, np.array([measurement.temperature], dtype=float))
+        up = normalised(measurement.gravity)
+        tilts = {axis: degrees(asin(component)) for axis, component in zip(AXES, up, strict=True)}
+        slopes = {axis: max(cos(radians(tilt)), STEEP) for axis, tilt in tilts.items()}
         expected, measured = {axis: tilts[axis] for axis in axes}, dict(zip(axes, result.tilt[0].tolist(), strict=True))
         errors = [abs(measured[axis] - angle) for axis, angle in expected.items()]
         if whole:
@@ -120,18 +122,14 @@ def verify(
         noise = [0.0]
         for channel in set(coefficients.channels) & set(coefficients.axes):
             angles = coefficients.angles
-            slope = 1.0 if whole or angles else max(sqrt(1.0 - min(up[AXES.index(channel)] ** 2, 1.0)), STEEP)
+            slope = 1.0 if whole or angles else slopes[channel]
             summary = measurement.summaries[channel]
             u = summary.u if angles is None else summary.u * float(angles.steepness(np.array(summary.mean)))
             noise.append(degrees(u / abs(coefficients.own_sensitivity(channel)) / slope))
         error = inf if any(map(isnan, errors)) else max(errors)
-        along = [float(moves[AXES.index(axis)]) / max(sqrt(1.0 - up[AXES.index(axis)] ** 2), STEEP) for axis in axes]
+        along = [float(moves[AXES.index(axis)]) / slopes[axis] for axis in axes]
         shared = degrees(hypot(*moves) if whole else max(along))
         expanded = (DIRECTION if whole else ANGLE) * hypot(bench.jig or 0.0, shared, max(noise))
         flag = int(result.flag[0])
         found.append(VerifiedPosition(measurement.position, expected, measured, error, expanded, flag))
     return Verification(calibration.sensor, tuple(found), limit, bench.jig)
-
-
-def _loud(verdict: str) -> str:
-    return verdict.upper() if verdict == FAILED else verdict

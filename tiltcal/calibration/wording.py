@@ -94,9 +94,9 @@ def level_summary(calibration: CalibrationRecord) -> str:
         own = coefficients.per_radian * float(coefficients.sensitivity[row, column])
         angle = degrees(asin(max(-1.0, min(change / own, 1.0))))
         lines.append(
-            f"  offset {channel}  {plus_minus(offset, calibration.uncertainty.get(f'offset.{channel}', 0.0))} "
+            f"  offset {channel}  {plus_minus(offset, calibration.uncertainty.get(f'offset.{channel}'))} "
             f"{sensor.fitted_unit}; was {offset - change:.6g}, changed by "
-            f"{plus_minus(change, found.change_uncertainty.get(channel, 0.0), signed=True)} ({angle:+.3f}°)"
+            f"{plus_minus(change, found.change_uncertainty.get(channel), signed=True)} ({angle:+.3f}°)"
         )
     lines.append(f"  {found.verdict}")
     if askew := calibration.uncertainty.alignment:
@@ -127,7 +127,7 @@ def _coefficient_lines(calibration: CalibrationRecord) -> Iterator[str]:
         shown = _pair(value, u[name]) if name in u else f"{value:>12.6g}"
         yield f"  {named.short:<17} {shown} {named.unit}".rstrip()
     if coefficients.thermal is not None and coefficients.thermal.lag:
-        yield f"  thermal lag       {_pair(coefficients.thermal.lag, u.get('temperature.lag', 0.0))} s"
+        yield f"  thermal lag       {_pair(coefficients.thermal.lag, u.get('temperature.lag'))} s"
     yield from (f"  {line}" for line in fit_lines(calibration))
 
 
@@ -178,7 +178,7 @@ def objections(calibration: CalibrationRecord) -> list[str]:
     if fit.suspect_positions:
         named = [f"{position} ({suspect.off_degrees:g}°)" for position, suspect in fit.suspect_positions.items()]
         found.append(f"further off than the stated jig allows, the worst first: {', '.join(named)}")
-    found += [note for note in fit.notes if ONE_VALUE in note or LOST_HOLDS in note or note == NOTHING_FOLLOWED]
+    found += [note for note in fit.notes if any(mark in note for mark in (ONE_VALUE, LOST_HOLDS, NOTHING_FOLLOWED))]
     return [*found, *_objections_to_mounting(fit.mounting)]
 
 
@@ -212,7 +212,7 @@ def _probability(fit: FitRecord) -> float | None:
     return float(chdtrc(fit.degrees_of_freedom, fit.chi_square))
 
 
-def _pair(value: float, u: float) -> str:
+def _pair(value: float, u: float | None) -> str:
     number, _, uncertainty = plus_minus(value, u).partition(" ")
     return f"{number:>12} {uncertainty}"
 

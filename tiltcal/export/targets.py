@@ -139,15 +139,13 @@ def _of_affine(lines: Sequence[str], affine: Affine, *holds: str) -> Export:
 
 
 def _c(source: Source) -> Export:
-    compensation = Compensation(source.coefficients)
     up, temperature = calibrated_range(source.coefficients, source.limits)
     rounding = single_precision_rounding(source.coefficients, up, source.coefficients.predict(up, temperature))
 
     def text(bound: float) -> str:
         return header(source.name, _stated(source, bound), single_precision(source.coefficients, source.name))
 
-    holds = CROSS_AXIS, TEMPERATURE, NONLINEARITY, THIRD
-    return Export(text, lambda u, celsius: np.array(compensation(u, celsius).gravity), holds, rounding)
+    return _whole(source, text, rounding)
 
 
 def _c_fixed(source: Source) -> Export:
@@ -234,7 +232,8 @@ def _iio(source: Source) -> Export:
 
 
 def _python(source: Source) -> Export:
-    return _whole(source, lambda _: "".join(module(source.coefficients, source.origin, source.record.sensor.unit)))
+    text = "".join(module(source.coefficients, source.origin, source.record.sensor.unit))
+    return _whole(source, lambda _: text, np.full(len(source.affine.matrix), ROUNDING_IN_DOUBLES), LAG)
 
 
 def _json(source: Source) -> Export:
@@ -250,14 +249,12 @@ def _json(source: Source) -> Export:
         data = {**about, "bound": bound, "formula": FORMULA, **numbers(source.coefficients), **drift}
         return json.dumps(data, indent=1) + "\n"
 
-    return _whole(source, text)
+    return _whole(source, text, np.full(len(source.affine.matrix), ROUNDING_IN_DOUBLES), LAG)
 
 
-def _whole(source: Source, text: Callable[[float], str]) -> Export:
-    """Return the export to a program that holds all of a calibration, in double precision."""
-    compensation = Compensation(source.coefficients)
-    holds = CROSS_AXIS, TEMPERATURE, NONLINEARITY, THIRD, LAG
-    rounding = np.full(len(source.affine.matrix), ROUNDING_IN_DOUBLES)
+def _whole(source: Source, text: Callable[[float], str], rounding: Array, *more: str) -> Export:
+    """Return the export to a program that holds all of a calibration but the thermal lag, and ``more``."""
+    compensation, holds = Compensation(source.coefficients), (CROSS_AXIS, TEMPERATURE, NONLINEARITY, THIRD, *more)
     return Export(text, lambda u, celsius: np.array(compensation(u, celsius).gravity), holds, rounding)
 
 

@@ -63,7 +63,7 @@ class BenchSensor(Record):
         return link_letter(self.parsed_address, self.wired)
 
 
-@lru_cache(maxsize=64)
+@lru_cache
 def _connected(model: str, address: str, device: DeviceFile | None) -> tuple[Address, Model]:
     """Parse an address and find its model, once for all sensors of a session and of its journal."""
     place = parse_address(address)
@@ -98,11 +98,12 @@ class BenchReference(Record, kw_only=True):
 
     def errors(self) -> tuple[float, float]:
         """Return the standard uncertainties of zero, degrees, and scale, a share; a ValueError if one is not stated."""
-        if self.uncertainty is not None and self.range is None:
-            raise ValueError("an uncertainty needs the key 'range': it counts as that of the scale there")
-        half = None if self.uncertainty is None else self.uncertainty / 2.0
-        zero = half if self.zero is None else self.zero
-        scale = self.scale if self.scale is not None or half is None else half / (self.range or 1.0)
+        zero, scale = self.zero, self.scale
+        if self.uncertainty is not None:
+            if self.range is None:
+                raise ValueError("an uncertainty needs the key 'range': it counts as that of the scale there")
+            u = self.uncertainty / 2.0
+            zero, scale = u if zero is None else zero, u / self.range if scale is None else scale
         if zero is None or scale is None:
             raise ValueError("state 'zero' and 'scale', or the 'uncertainty' of the certificate and the 'range'")
         return zero, scale

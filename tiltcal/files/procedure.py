@@ -317,6 +317,7 @@ class FreePositions(PositionProcedure):
 class Ramp(PositionProcedure):
     """Positions at which the temperature turns, in one attitude: all that is read on the way counts."""
 
+    reference: float  # °C
     pace: float  # of the temperature, °C/min
     within: float  # how close to its temperature a leg ends, °C
     interval: float  # between two samples, seconds
@@ -324,6 +325,11 @@ class Ramp(PositionProcedure):
 
     agrees = False
     continuous = True
+
+    @property
+    def turns(self) -> list[float]:
+        """The temperatures at which it turns, °C."""
+        return [position.temperature for position in self.positions if position.temperature is not None]
 
     @property
     def why_not_again(self) -> str:
@@ -335,9 +341,8 @@ class Ramp(PositionProcedure):
 
     def least_seconds(self, samples: int, interval: float, settle: float, done: int) -> float:
         """Return the time of the legs behind those done at the pace, seconds."""
-        temperatures = [position.temperature or 0.0 for position in self.positions]
-        met = [temperatures[0] if self.reference is None else self.reference, *temperatures]
-        return 60.0 * sum(abs(end - start) for start, end in list(pairwise(met))[done:]) / self.pace
+        ways = pairwise([self.reference, *self.turns])
+        return 60.0 * sum(abs(end - start) for start, end in list(ways)[done:]) / self.pace
 
     def with_closing(self) -> Self:
         raise self._open()

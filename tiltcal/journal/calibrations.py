@@ -77,7 +77,7 @@ def fitted(session: RecordedSession) -> list[CalibrationRecord]:
                 [result.measurements[sensor.serial] for result in accepted],
                 sensor.wired,
                 sensor.orientation.matrix,
-                sensor.wired.thermometer_rounding if own_thermometers else None,
+                sensor.wired.thermometer_rounding if own_thermometers else 0.0,
                 base.calibration if (base := setup.bases.get(sensor.serial)) else None,
                 ramps.get(sensor.serial),
             )

@@ -118,7 +118,7 @@ def fit_recorded(
         identity,
         positions.measurements,
         nominal,
-        thermometer_rounding=None if model is None else model.thermometer_rounding,
+        thermometer_rounding=0.0 if model is None else model.thermometer_rounding,
         base=own,
         ramp=positions.ramp,
         attitude_stated=options["segments"] is not None,

@@ -44,10 +44,15 @@ def test_exchanged_and_turned_channels_are_remarked_and_two_copies_refused() -> 
             calibrated(copy)
 
 
-def test_readings_in_another_unit_of_acceleration_are_remarked() -> None:
-    for unit, per_g, said in (("g", 9.81, 2), ("m/s2", 1.0, 2), ("g", 1.1, 0), ("m/s2", 9.6, 0)):
+def test_readings_in_another_unit_are_remarked() -> None:
+    """Beyond a factor of two; of slopes and angles what a radian is near level counts."""
+    for unit, per_g, size, usual in (
+        *(("g", 9.81, "9.81", "1"), ("m/s2", 1.0, "1", "9.81"), ("g", 0.49, "0.49", "1"), ("m/s2", 21.0, "21", "9.81")),
+        *(("g", 1.9, "", ""), ("g", 0.51, "", ""), ("m/s2", 9.6, "", ""), ("V", 100.0, "", "")),
+    ):
         notes = calibrated(lambda true, per_g=per_g: true * per_g / 2.0, unit).fit.notes  # type: ignore[misc]
-        assert sum(note.endswith(f"are the readings in {unit}?") for note in notes) == said
+        said = f"reads {size} {unit} where {usual} {unit} are 1 g: are the readings in {unit}?"
+        assert [note for note in notes if "are the readings" in note] == [f"{c} {said}" for c in "xy" if size]
 
 
 def test_the_same_readings_twice_are_refused_where_no_sensitivity_is_determined() -> None:

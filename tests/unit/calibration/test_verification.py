@@ -36,18 +36,46 @@ def test_a_perfect_part_does_not_fail_for_its_jig() -> None:
     assert [verified(rng, 0.1, stated=0.1).verdict for _ in range(60)].count("failed") == 0
 
 
-def test_the_limit_is_guarded_on_both_sides() -> None:
-    """U = 1.96 times 0.1° = 0.196°: within 0.3 - 0.196 = 0.104 passed, beyond 0.3 + 0.196 = 0.496 failed."""
-    for error, verdict in {0.10: "passed", 0.11: "not decided", 0.49: "not decided", 0.50: "failed"}.items():
-        position = VerifiedPosition("p", {"x": 10.0}, {"x": 10.0 + error}, error, 1.959964 * 0.1, 1)
-        assert position.verdict(0.3) == verdict
+TEXT = """\
+sca100t-d02 S, limit 0.3°
+  x-30         x  +30.000° read  +30.000°  y   +0.000° read   +0.000°   off by 0.00 ± 0.25°   passed
+  level        x   +0.000° read   +0.210°  y   +0.000° read   +0.000°   off by 0.21 ± 0.24°   not decided
+  y-90         x   +0.000° read   +0.000°  y  -90.000° read     +nan°   off by inf ± 0.2°   FAILED
+FAILED: worst inf ± 0.2° at y-90"""
 
 
-def test_noise_counts_by_the_slope_of_the_angle() -> None:
-    """At 30° a count is degrees(1 / 819 / cos 30°) = 0.0808°."""
-    (found,) = verify(PERFECT, [mean_of("x-30", (0.5, 0.0, np.sqrt(0.75)), (1433.5, 1024.0), 1.0)]).positions
-    assert found.expanded == pytest.approx(1.96 * 0.0808, rel=1e-3)
-    assert found.error == pytest.approx(0.0, abs=1e-9)
+def test_an_error_is_judged_with_the_expanded_uncertainty_of_jig_and_noise() -> None:
+    """A count at 30° is degrees(1 / 819 / cos 30°) = 0.0808°; an arcsine of 1.05 has no angle; ISO 14253-1 by hand."""
+    seen = [
+        mean_of("x-30", (0.5, 0.0, np.sqrt(0.75)), (1433.5, 1024.0), 1.0),
+        mean_of("level", (0.0, 0.0, 1.0), (1024.0 + 819.0 * np.sin(np.radians(0.21)), 1024.0), 1.0),
+        mean_of("y-90", (0.0, -1.0, 0.0), (1024.0, 1024.0 - 819.0 * 1.05), 0.0),
+    ]
+    found = verify(PERFECT, seen, 0.3, BenchUncertainty(0.1))
+    u = [np.hypot(0.1, np.degrees(1.0 / 819.0) / slope) for slope in (np.cos(np.radians(30.0)), 1.0)]
+    assert [one.expanded for one in found.positions[:2]] == pytest.approx(1.959964 * np.array(u))
+    assert [one.error for one in found.positions] == pytest.approx([0.0, 0.21, np.inf], abs=1e-9)
+    assert str(found) == TEXT
+    data = found.as_data()
+    assert [(one["position"], one["verdict"], one["passed"], one["flag"]) for one in data.pop("positions")] == [
+        ("x-30", "passed", True, 1), ("level", "not decided", False, 1), ("y-90", "failed", False, 4)
+    ]  # fmt: skip
+    worst = {"position": "y-90", "error": np.inf}
+    assert data == {"sensor": "S", "limit": 0.3, "jig": 0.1, "verdict": "failed", "passed": False, "worst": worst}
+    assert VerifiedPosition("p", {}, {}, 0.5, 0.19, 1).verdict(0.3) == "failed"
+    assert VerifiedPosition("p", {}, {}, 0.49, 0.2, 1).verdict(0.3) == "not decided"
+
+
+def test_of_three_axes_the_direction_is_judged() -> None:
+    """1° off about x where y is up by 53.13°; two angles have a factor of sqrt(-2 ln 0.05) = 2.4477 for 95 %."""
+    axes, turn = ("x", "y", "z"), np.radians(53.130102 + 1.0)
+    known = Coefficients(axes, axes, np.zeros(3), np.eye(3))
+    record = replace(PERFECT, sensor=PERFECT.sensor.replaced(channels=axes, unit="g"), coefficients=known)
+    one = mean_of("p", (0.0, 0.8, 0.6), (0.0, np.sin(turn), np.cos(turn)), 1e-3)
+    (found,) = verify(record, [one], 0.3, BenchUncertainty(0.1)).positions
+    assert found.expected == pytest.approx({"x": 0.0, "y": 53.130102, "z": 36.869898})
+    assert (found.error, found.flag) == (pytest.approx(1.0, abs=1e-6), 1)
+    assert found.expanded == pytest.approx(2.447747 * np.hypot(0.1, np.degrees(1e-3)))
 
 
 def test_a_position_is_judged_at_its_temperature() -> None:

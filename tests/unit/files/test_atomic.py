@@ -22,16 +22,6 @@ def interrupted_write(path: Path, failure: BaseException) -> None:
         raise failure
 
 
-def test_file_is_there_only_after_the_block(tmp_path: Path) -> None:
-    path = tmp_path / "out.csv"
-    with whole_file(path) as stream:
-        stream.write(b"a")
-        assert not path.exists()
-        stream.write(b"b")
-    assert path.read_bytes() == b"ab"
-    assert os.listdir(tmp_path) == ["out.csv"]
-
-
 def test_nothing_is_left_by_a_program_that_is_killed(tmp_path: Path) -> None:
     if not hasattr(os, "O_TMPFILE"):
         pytest.skip("this system has no files without a name")

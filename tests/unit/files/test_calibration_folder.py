@@ -6,7 +6,6 @@ import pytest
 from support import FIXTURES
 
 from tiltcal.errors import UsageError
-from tiltcal.files.calibration import read_calibration
 from tiltcal.files.calibration_folder import index_folder
 
 MAVS = (FIXTURES / "mavs.yaml").read_text(encoding="utf-8")
@@ -24,19 +23,10 @@ def test_files_are_found_by_serial_number(tmp_path: Path) -> None:
     assert named == {"0042": ["b.yml"], "SIM-42": ["a.yaml", "c.yaml"]}
 
 
-def test_every_fixture_is_found_as_its_reader_reads_it() -> None:
-    index = index_folder(FIXTURES)
-    assert not index.problems
-    for serial, paths in index.paths.items():
-        assert {read_calibration(path).sensor.serial for path in paths} == {serial}
-    names = {Path(path).name for paths in index.paths.values() for path in paths}
-    assert {"mavs.yaml", "free.yaml"} <= names
-    assert "rotation.yaml" not in names  # of pairs
-
-
 def test_files_of_other_kinds_are_passed_over_and_damaged_ones_are_named(tmp_path: Path) -> None:
     (tmp_path / "notes.yaml").write_text("this: is no file of tiltcal\n")
     (tmp_path / "list.yaml").write_text("- this\n- neither\n")
+    (tmp_path / "pairs.yaml").write_text((FIXTURES / "rotation.yaml").read_text(encoding="utf-8"))
     (tmp_path / "torn.yaml").write_text(MAVS[:400])
     (tmp_path / "torn-early.yaml").write_text(MAVS[:37])
     (tmp_path / "empty.yaml").touch()

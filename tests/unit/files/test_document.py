@@ -175,11 +175,6 @@ def test_what_no_file_of_ours_needs_is_refused_with_its_line() -> None:
         assert about in str(error)
 
 
-def test_alias_bomb_is_refused_at_its_first_anchor() -> None:
-    bomb = "a0: &a0 [x, x]\n" + "".join(f"a{n}: &a{n} [*a{n - 1}, *a{n - 1}]\n" for n in range(1, 30))
-    assert "write the value out" in str(complaint(bomb))
-
-
 def test_depth_has_an_end() -> None:
     parse_document("[" * 32 + "]" * 32)
     assert "deeper" in str(complaint("[" * 33 + "]" * 33))
