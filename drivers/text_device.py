@@ -12,7 +12,7 @@ import re
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import cached_property, partial, reduce
+from functools import cache, cached_property, partial, reduce
 from importlib import import_module
 from itertools import product
 from math import isfinite
@@ -242,11 +242,10 @@ class TextSensor(Sensor):
         if self.why:
             return f"no sound answer came, only {shown(self.heard)}: {self.why}"
         answer, matched, rest = self.device.answer, "nothing of it", self.device.answer
-        for length in range(len(answer), 0, -1):
-            with suppress(re.error):
-                if (part := re.search(answer[:length], self.heard)) and part[0]:
-                    matched, rest = f"only {shown(part[0])} of it", answer[length:]
-                    break
+        for pattern in _beginnings(answer):
+            if (part := pattern.search(self.heard)) and part[0]:
+                matched, rest = f"only {shown(part[0])} of it", answer[len(pattern.pattern) :]
+                break
         end = shown(self.device.ends) if self.device.ends else "a line end"
         needed = f"next it needs {rest!r}" if rest else f"{end} that ends it is missing"
         came = f"no answer came, only {shown(self.heard)}" if self.heard else "nothing came"
@@ -354,3 +353,13 @@ def virtual_text_device(device: TextDevice, truth: Truth, fixture: HeldPose, clo
 
     baudrate = int(device.line.get("baudrate", 9600))
     return StreamingPart(truth, fixture, clock, message, period=max(device.interval, 0.1), baudrate=baudrate)
+
+
+@cache
+def _beginnings(answer: str) -> list[re.Pattern[str]]:
+    """Return all beginnings of a pattern that are patterns, the longest first."""
+    found = []
+    for length in range(len(answer), 0, -1):
+        with suppress(re.error):
+            found.append(re.compile(answer[:length]))
+    return found
