@@ -13,7 +13,8 @@ from support.command import Completed, measure, tiltcal
 
 from tiltcal.files.calibration import read_calibration
 
-SIM = ("--sensor", "sca100t-d02", "--address", "sim:seed=7", "--serial", "S-7", "-o", "S-7.yaml")
+QUICK = ("--samples", "30", "--settle", "0.2")
+SIM = (*QUICK, "--sensor", "sca100t-d02", "--address", "sim:seed=7", "--serial", "S-7", "-o", "S-7.yaml")
 READY = '{"answer": "ready"}\n'
 
 

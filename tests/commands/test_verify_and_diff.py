@@ -24,7 +24,7 @@ uncertainty:
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("verify")
-    measure(cwd=folder, procedure="complete", code=0)
+    measure("--samples", "40", "--settle", "0.2", cwd=folder, procedure="complete", code=0)
     return folder
 
 

@@ -9,6 +9,7 @@ from support import FIXTURES
 from support.json_program import Event, ProgramSession, lead
 
 from tiltcal import measure as measure_here
+from tiltcal.bench import settle
 from tiltcal.core.attitude import gravity_from_tilt
 from tiltcal.drivers import find_model
 from tiltcal.files.calibration import read_calibration
@@ -97,8 +98,9 @@ def test_a_program_is_told_how_far_three_axes_are_off(tmp_path: Path) -> None:
     assert led.events("accepted")[-1]["off"]["angle"] < 1.0
 
 
-def test_a_program_is_told_once_a_minute_what_is_waited_for(tmp_path: Path) -> None:
+def test_a_program_is_told_once_a_minute_what_is_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The chamber takes its time to 5.5 °C by the bench's clock, which is virtual."""
+    monkeypatch.setattr(settle, "SOAK_LOOKS", 50)
     twin = (FIXTURES / "twins" / "sca100t-d02.yaml").read_text()
     (tmp_path / "slow.yaml").write_text(twin.replace("time_constant: 0.1", "time_constant: 60.0"))
     options = ("--sensor", "sca100t-d02", "--address", "sim:?twin=slow.yaml", "--serial", "S-1", "-o", "S-1.yaml")

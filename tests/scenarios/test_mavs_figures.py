@@ -30,7 +30,7 @@ Gravity = tuple[float, float, float]
 def calibrations(tmp_path_factory: pytest.TempPathFactory) -> list[CalibrationRecord]:
     """Six benches: the same part, set anew by hand each time."""
     folder = tmp_path_factory.mktemp("mavs")
-    sensor = {"sensor": "sca100t-d02", "serial": "A-1", "operator": "sim", "samples": 40}
+    sensor = {"sensor": "sca100t-d02", "serial": "A-1", "operator": "sim", "samples": 40, "settle": 0.2}
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(settle, "SOAK_LOOKS", 40)  # few readings a soak: what is measured is not how steady it was
         return [

@@ -219,8 +219,9 @@ positions:
 """
 
 
-def test_a_temperature_is_waited_for_again_after_another_one() -> None:
+def test_a_temperature_is_waited_for_again_after_another_one(monkeypatch: pytest.MonkeyPatch) -> None:
     """Back from the last position over the cold one to the second; the time constant is a minute."""
+    monkeypatch.setattr(settle, "SOAK_LOOKS", 50)
     Path("parted.yaml").write_text(PARTED)
     twin_with("time_constant: 60.0")
     words = iter(["ready", "ready", "ready", "back", "back"])
