@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
-from math import hypot, log2
+from math import hypot
 from statistics import median, pstdev
 from typing import NamedTuple
 
@@ -21,7 +21,7 @@ LENGTHS: Mapping[str, tuple[float, float]] = {
 }
 """The length of gravity at rest by which a unit is known that nothing states."""
 
-RANGES = range(8, 16)  # powers of two that are a g in the counts of a converter
+RANGES = (256.0, 512.0, 1024.0, 2048.0, 4096.0, 8192.0, 16384.0, 32768.0)  # counts that are a g in converters
 SAME = 0.1  # how near to one of them a length is, relative
 
 
@@ -35,11 +35,11 @@ class Guess(NamedTuple):
     example: a line.
     """
 
-    roles: tuple[str, ...]
-    unit: str
-    per_g: float
-    by: str
-    example: str
+    roles: tuple[str, ...] = ()
+    unit: str = ""
+    per_g: float = 0.0
+    by: str = ""
+    example: str = ""
 
 
 def guess(lines: Sequence[str]) -> Guess:
@@ -51,12 +51,12 @@ def guess(lines: Sequence[str]) -> Guess:
     try:
         found = dialect_of(lines)
     except ValueError:
-        return Guess((), "", 0.0, "", "")
+        return Guess()
     some = [line for line in lines[found.first :] if not found.no_row(line)]
     cells = [split(found.fields_of(line), found.separator) for line in some]
     rows = [row for row in cells if len(row) == len(found.names) and "number" in map(kind_of, row)]
     if not rows:
-        return Guess((), "", 0.0, "", "")
+        return Guess()
     columns = [[float(row[k]) for row in rows if kind_of(row[k]) == "number"] for k in range(len(found.names))]
     return guess_of_columns(found, columns)._replace(example=some[-1].strip())
 
@@ -69,28 +69,27 @@ def guess_of_columns(found: Dialect, columns: Sequence[Sequence[float]]) -> Gues
         stated = {found.units.get(found.names[k]) or split_unit(found.names[k])[1] or "" for k in places}
         unit = spelt(stated.pop()) if len(stated) == 1 else ""
         unit = unit if is_unit(unit) and unit in READINGS else unit_of_rows([columns[k] for k in places])
-        return Guess(_shown(roles), unit, 0.0, "names", "")
+        return Guess(_shown(roles), unit, by="names")
     usable = [k for k, column in enumerate(columns) if column and not counts_up(column)]
     triples = [tuple(range(k, k + 3)) for k in usable if {k + 1, k + 2} <= {*usable}]
     units = {three: unit for three in triples if (unit := unit_of_rows([columns[k] for k in three]))}
     if units:
         three = min(units, key=lambda three: pstdev(_lengths([columns[k] for k in three])))
-        return Guess(_placed(roles, three), units[three], 0.0, "length", "")
+        return Guess(_placed(roles, three), units[three], by="length")
     for three in triples:
         length = median(_lengths([columns[k] for k in three]))
-        whole = all(float(value).is_integer() for k in three for value in columns[k])
-        power = round(log2(length)) if length > 0.0 else 0
-        if whole and power in RANGES and abs(length / 2.0**power - 1.0) < SAME:
-            return Guess(_placed(roles, three), "count", 2.0**power, "length", "")
+        near = [per_g for per_g in RANGES if abs(length / per_g - 1.0) < SAME]
+        if near and all(float(value).is_integer() for k in three for value in columns[k]):
+            return Guess(_placed(roles, three), "count", near[0], "length")
     alone = tuple(usable) if len(usable) <= len(AXES) else ()
-    return Guess(_placed(roles, alone), "", 0.0, "number", "")
+    return Guess(_placed(roles, alone), by="number")
 
 
 def counts_up(column: Sequence[float]) -> bool:
     """Return whether a column is a clock or a counter: it never goes back, and rises by about the same each time."""
-    steps = [after - before for before, after in pairwise(column)]
-    usual = median(steps) if steps else 0.0
-    return usual > 0.0 and min(steps) >= 0.0 and max(steps) < 20.0 * usual and max(column) - min(column) > 5.0 * usual
+    steps = [after - before for before, after in pairwise(column)] or [0.0]
+    usual = median(steps)
+    return min(steps) >= 0.0 and max(steps) < 20.0 * usual and sum(steps) > 5.0 * usual
 
 
 def unit_of_rows(columns: Sequence[Sequence[float]]) -> str:

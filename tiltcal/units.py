@@ -97,7 +97,7 @@ _OF_WARMTH = re.compile(r"((?:.*[ _.])?(?:temp(?:erature)?|t))[ _.]?((?:deg|°)?
 def spelt(unit: str) -> str:
     """Return a unit as this program spells it."""
     text = unit.strip()
-    return text if text in READINGS else _SPELT.get(text.casefold(), text)
+    return _SPELT.get(text.casefold(), text)
 
 
 def same_unit(one: str, other: str) -> bool:
@@ -107,8 +107,7 @@ def same_unit(one: str, other: str) -> bool:
 
 def seconds_in(unit: str) -> float | None:
     """Return how many seconds a unit of time has; None where it is no unit of time."""
-    symbol = unit.strip()
-    return _SECONDS.get(symbol if len(symbol) <= 2 else symbol.casefold())  # ms and Ms differ in their letters alone
+    return _SECONDS.get(unit.strip().casefold())
 
 
 def is_unit(text: str) -> bool:

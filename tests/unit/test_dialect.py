@@ -2,7 +2,7 @@
 
 import pytest
 
-from tiltcal.column_guess import guess
+from tiltcal.column_guess import counts_up, guess, unit_of_rows
 from tiltcal.dialect import Dialect, Pattern, flattened, kind_of, labels_of, printed, split, without_clock, without_sum
 from tiltcal.logs.formats.csv_text import charset_of
 
@@ -100,8 +100,23 @@ def test_the_meaning_of_columns_by_names_lengths_and_numbers() -> None:
         (["1,20,4090", "3,20,4100", "2,10,4095"], ("x", "y", "z"), "count", 4096.0, "length"),
         (["1,20,3000", "3,20,3010", "2,10,3001"], ("x", "y", "z"), "", 0.0, "number"),
         (["1,2,3,4", "2,1,2,3", "1,2,2,3"], ("-", "-", "-", "-"), "", 0.0, "number"),
+        ([f"{k},0.{k % 2},0.2,9.8" for k in range(7)], ("-", "x", "y", "z"), "m/s2", 0.0, "length"),
+        ([f"{k},3{k % 2},-20,240" for k in range(7)], ("-", "x", "y", "z"), "count", 256.0, "length"),
     ):
         found = guess(lines)
         assert (found.roles, found.unit, found.per_g, found.by, found.example) == (roles, unit, per_g, by, lines[-1])
     for lines in ([], ["hello"], ["a,b", "c,d"]):
         assert guess(lines) == ((), "", 0.0, "", "")
+    for unit, low, high in (("g", 0.9, 1.1), ("m/s2", 9.3, 10.3), ("mg", 930.0, 1070.0), ("mm/s2", 9300.0, 10300.0)):
+        for length, said in ((0.9999 * low, ""), (1.0001 * low, unit), (0.9999 * high, unit), (1.0001 * high, "")):
+            assert unit_of_rows([[0.6 * length], [0.8 * length], [1e-9]]) == said
+    for column, counts in (
+        ([0, 1, 2, 3, 4, 5], False),
+        ([0, 1, 2, 3, 4, 5, 6], True),
+        ([0, 1, 2, 3, 4, 24], False),
+        ([0, 1, 2, 3, 4, 23], True),
+        ([0, 1, 2, 3, 4, 3, 9], False),
+        ([2, 2, 2, 2], False),
+        ([5], False),
+    ):
+        assert counts_up(column) is counts, column
