@@ -75,12 +75,6 @@ def test_a_row_has_gravity_tilts_flag_and_reason(
     assert (found["flag"], found["reason"]) == (flag, reason)
 
 
-def test_the_logs_own_columns_come_first_as_they_are() -> None:
-    header, *lines = apply("cal.yaml", "log.csv").stdout.splitlines()
-    assert header == "time,x,y,note,g_x,g_y,tilt_x,tilt_y,flag,reason"
-    assert [line.split(",")[:4] for line in lines] == [line.split(",") for line in LOG.splitlines()[1:]]
-
-
 def test_uncertainties_are_what_the_gum_gives_and_stand_behind_all_others() -> None:
     """Offset 0.003, sensitivity 0.002, reading 0.004 V of 2 V/g, at level and at 30°."""
     log = "x,y\n2.5,2.5\n3.5,2.5\n"

@@ -170,9 +170,3 @@ class TestRefusals:
             monkeypatch.setattr(log, "_rows", 5)
             with pytest.raises(InputError, match="gives 4 of 5 rows"):
                 list(log.rows([1]))
-
-    def test_a_column_that_holds_no_numbers(self) -> None:
-        for kind, called in ((pl.String, "String"), (pl.Boolean, "Boolean")):
-            LOG.with_columns(y=pl.lit(None, kind)).write_parquet("in.parquet")
-            said = refused(apply("cal.yaml", "in.parquet"), InputError)
-            assert said == f"in.parquet: column 'y' holds {called}, not numbers: name another, or make numbers of it"

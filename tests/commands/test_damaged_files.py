@@ -59,6 +59,7 @@ def test_it_is_named_wherever_it_is_given(name: str, tmp_path: Path) -> None:
         done = tiltcal(*command.split(), cwd=tmp_path)
         interrupted = command == "check torn.journal.jsonl"
         assert (done.returncode, name in done.stdout + done.stderr) == (1 if interrupted else 2, True), command
+        assert ("its last line is torn off" in done.stdout) is interrupted
     assert sorted(path.name for path in tmp_path.iterdir()) == before
     assert (tmp_path / "out.csv").read_text() == "the one before"
 

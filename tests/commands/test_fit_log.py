@@ -145,20 +145,6 @@ class TestTemperaturePoint:
             result = fitted(tmp_path, "two-temperature", log, segments, *SCA100T, code=2 if end == 2610 else 0)
             assert ("segment level-cold: the temperature drifts by -" in result.stderr) is (end == 2610)
 
-    @pytest.mark.parametrize(("seconds", "written"), [(5, "{:.4f}"), (20, "second {:.0f}"), (60, "")])
-    def test_a_short_segment_of_a_ramp_is_refused_as_a_long_one_is(
-        self, tmp_path: Path, seconds: int, written: str
-    ) -> None:
-        """0.5 °C/min; the times are in seconds, in a form of the user's own, or not there."""
-        time, draw = np.arange(2400.0), np.random.default_rng(3)
-        log = {axis: 1024.0 + sign * 0.02 * time + draw.normal(0.0, 0.5, 2400) for axis, sign in (("x", 1), ("y", -1))}
-        log["temperature"] = 24.0 - time * 0.5 / 60.0 + draw.normal(0.0, 0.02, 2400)
-        if written:
-            log["time"] = [written.format(one) for one in time]
-        segments = {"level-warm": (300 - seconds, 300), "level-cold": (2300 - seconds, 2300)}
-        said = refused(tmp_path, "two-temperature", log, segments, *SCA100T)
-        assert "segments.csv:2: segment level-warm: the temperature drifts by -" in said
-
 
 class TestMounting:
     """How a calibrated sensor of 2 V/g sits in its application."""

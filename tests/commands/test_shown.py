@@ -169,6 +169,15 @@ def test_a_port_is_described_by_what_it_prints(
     assert json.loads(tiltcal("probe", "--address", port, "--json", code=0).stdout) == told
 
 
+def test_a_port_without_numbers_is_told_by_its_last_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tiltcal.cli.probe.open_link", lambda *_: SimpleNamespace(close=lambda: None))
+    monkeypatch.setattr("tiltcal.cli.probe.listened", lambda *_: ([b"boot", b"ready", b"hello"], 5.0))
+    assert tiltcal("probe", "--address", "/dev/ttyUSB0", code=3).stderr == (
+        "tiltcal: /dev/ttyUSB0 sends text without numbers, such as 'hello': is the baud rate right (baudrate=), and "
+        "does the sketch print its readings?\n"
+    )
+
+
 def test_a_stage_is_planned_by_its_channels() -> None:
     told = json.loads(tiltcal("plan", "rotation", "--sensor", "gradiometer", "--json", code=0).stdout)
     pairs = [{"pair": ["a1", "a2"], "orthogonal": "a4"}, {"pair": ["a3", "a4"], "orthogonal": "a1"}]

@@ -54,7 +54,6 @@ def command(paths: tuple[Path, ...], schema: str | None, as_json: bool) -> int:
     if schema is not None:
         if paths:
             raise UsageError("--schema prints the JSON Schema of a kind and checks no file: leave FILE or --schema out")
-
         click.echo(options.json_text(json_schema(schema), 2))
         return 0
     if not paths:
@@ -119,7 +118,6 @@ def _of_journal(path: Path) -> list[str]:
 
 
 def _of_calibration(path: Path, document: Document) -> tuple[str, list[str], list[str]]:
-
     found = record_in(document)
     findings, remarks = _of_journal_beside(path, found)
     if isinstance(found, CalibrationRecord):
@@ -133,7 +131,6 @@ def _of_journal_beside(path: Path, found: CalibrationRecord | PairRecord) -> tup
     captured = found.provenance.journal
     if captured is None or not (os.path.isfile(path) and os.path.isfile(path.parent / captured.name)):
         return [], []
-
     journal = path.parent / captured.name
     made = calibrations_of(RecordedSession(Journal(journal)))
     texts = texts_of(made)

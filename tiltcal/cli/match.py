@@ -100,8 +100,7 @@ def spectra_of(matching: Matching, log: PairLog) -> PairDrawing:
         The record is too short for them.
     """
     frequency, densities = log.densities(matching)
-    turning = log.frequency or log.turns / (log.rows + log.missing)
-    return PairDrawing(frequency, densities, turning, "Hz" if log.rate else "1/row")
+    return PairDrawing(frequency, densities, log.frequency, "Hz" if log.timed else "1/row")
 
 
 def _triples(pairs: tuple[str, ...], orthogonals: tuple[str, ...]) -> list[tuple[str, str, str]]:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import click
 
-from tiltcal.calibration.comparison import require_same_sensor
 from tiltcal.cli import options
 from tiltcal.cli.history import read_history
 from tiltcal.cli.match import spectra_of
@@ -90,8 +90,6 @@ def _page(names: Sequence[str], logs: Sequence[str], columns: str, skip_bad_rows
         pairs = pair_record(documents[0])
         return pair_page(pairs, _source(names[0]), [_spectra(log, pairs, skip_bad_rows) for log in logs])
     calibrations = [tilt_record(document) for document in documents]
-    for earlier in calibrations[:-1]:
-        require_same_sensor(earlier, calibrations[-1])
     last, file = calibrations[-1], Path(names[-1])
     before = [(calibration, Path(name).name) for calibration, name in zip(calibrations[:-1], names, strict=False)]
     reported = [_look_over(log, last, file, columns, skip_bad_rows) for log in logs]
@@ -103,10 +101,9 @@ def _look_over(log: str, calibration: CalibrationRecord, file: Path, columns: st
     stated = complete(ApplyOptions, {"columns": columns})
     prepared = prepare(calibration, stated, file=file)
     with progress_bar("report") as progress, open_log(log, skip_bad_rows=skip_bad_rows, progress=progress) as rows:
-        clock = named_columns(columns, prepared.channels).get(TIME, TIME)
-        time = rows.names.index(clock) if clock in rows.names else None
-        overview = look_over(rows, prepared, stated, time)
-        return ReportedLog(Path(rows.name).name, str(rows.sha256), overview, time is not None)
+        timed = named_columns(columns, prepared.channels).get(TIME, TIME) in rows.names
+        overview = look_over(rows, replace(prepared, roles=(TIME,)) if timed else prepared, stated)
+        return ReportedLog(Path(rows.name).name, str(rows.sha256), overview, timed)
 
 
 def _spectra(log: str, calibration: PairRecord, skip_bad_rows: bool) -> tuple[str, PairDrawing]:

@@ -144,8 +144,8 @@ class CompensatedLog:
                 beside = dict(zip(AXES[1:], others, strict=True))
                 require_units(log, beside, dict.fromkeys(beside, unit), repr(log.names[first]))
         self.channels = tuple(chain(*(sensor.columns for sensor in self._sensors)))
-        self._roles = {role: where[role] for role in (TEMPERATURE, *roles) if role in where}
-        if self._lagged and TIME not in self._roles:
+        self.roles = {role: where[role] for role in (TEMPERATURE, *roles) if role in where}
+        if self._lagged and TIME not in self.roles:
             self._say(NO_TIME)
         self._needs_time = TIME in prepared.roles or self._lagged
         self._field_length = FieldLength() if "magnetometer" in self._vectors else None
@@ -157,27 +157,25 @@ class CompensatedLog:
         velocity = self._vectors.get("velocity")
         return {} if velocity is None else dict.fromkeys(VELOCITY, self.log.unit(velocity[0]))
 
-    def blocks(self, time: int | None = None, *, frames: bool = False) -> Iterator[tuple[LogBlock, Table]]:
+    def blocks(self, *, frames: bool = False) -> Iterator[tuple[LogBlock, Table]]:
         """Yield the log's own blocks, in order, and the columns that belong behind theirs.
 
-        ``time`` is a column of times that is needed where the calibration asks for none; with ``frames`` each block has
-        all its columns with their types.
+        With ``frames`` each block has all its columns with their types.
         """
-        needs_time = time is not None or self._needs_time
-        time = self._roles.get(TIME, time)
+        time = self.roles.get(TIME)
         thermometers = [one.thermometer for one in self._sensors if one.thermometer is not None]
-        wanted = {*self.channels, *thermometers, *self._roles.values(), *chain(*self._vectors.values())}
+        wanted = {*self.channels, *thermometers, *self.roles.values(), *chain(*self._vectors.values())}
         means = None
         if (size := self.prepared.averaging) is not None:
-            heading = self._roles.get(HEADING)
+            heading = self.roles.get(HEADING)
             judged = partial(self._table, judged=True)
-            means = Means(size, self.log, self._sensors, judged, time, heading, self._roles.get(TEMPERATURE))
+            means = Means(size, self.log, self._sensors, judged, time, heading, self.roles.get(TEMPERATURE))
         rows = self.log.rows(
-            sorted(wanted if time is None else wanted | {time}),
+            sorted(wanted),
             time,
-            temperatures={*thermometers, *(index for role, index in self._roles.items() if role == TEMPERATURE)},
+            temperatures={*thermometers, *(index for role, index in self.roles.items() if role == TEMPERATURE)},
             frames=frames or means is not None,
-            needs_time=needs_time,
+            needs_time=self._needs_time,
         )
         for block in rows if means is None else means.blocks(rows):
             table: Table = self._table(block)
@@ -196,7 +194,7 @@ class CompensatedLog:
 
     def _table(self, block: LogBlock, *, judged: bool = False) -> dict[str, Any]:
         """Return the columns of some rows; ``judged`` are readings one by one, before their means."""
-        shared: dict[str, Any] = {role: block.values[index] for role, index in self._roles.items()}
+        shared: dict[str, Any] = {role: block.values[index] for role, index in self.roles.items()}
         shared |= {role: block.readings(indices) for role, indices in self._vectors.items()}
         table: dict[str, Any] = {}
         for number, sensor in enumerate(self._sensors):
@@ -208,16 +206,15 @@ class CompensatedLog:
         return table
 
 
-def look_over(
-    log: LogReader, prepared: PreparedCalibration, options: ApplyOptions, time: int | None
-) -> ColumnStatistics:
+def look_over(log: LogReader, prepared: PreparedCalibration, options: ApplyOptions) -> ColumnStatistics:
     """Return what a report shows of a log, by its readings; columns that a calibration has added count for nothing.
 
-    ``time`` is where the time stands, in seconds or ISO 8601; rows are counted where there is none.
+    Rows are counted where the roles of the calibration have no time.
     """
     angles = prepared.led(lambda sensor: sensor.angles)
-    overview = ColumnStatistics(angles)
-    for block, table in read_ahead(CompensatedLog(log, prepared, options).blocks(time)):
+    overview, compensated = ColumnStatistics(angles), CompensatedLog(log, prepared, options)
+    time = compensated.roles[TIME] if TIME in prepared.roles else None
+    for block, table in read_ahead(compensated.blocks()):
         times = overview.rows + np.arange(float(len(block))) if time is None else block.values[time]
         shown = np.stack([np.asarray(table[angle], float) for angle in angles]).T
         overview.add(times, shown, table["flag"], table["reason"])

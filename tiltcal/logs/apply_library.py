@@ -191,29 +191,29 @@ class LibraryKernel:
 
         A row without one has that of the row before, and rows before the first time have that.
         """
+        begin = self._start or 0.0
         if values.time is None:
-            return np.full(len(values), self._start or 0.0)
-        time = values.time + (self._start or 0.0)
+            return np.full(len(values), begin)
+        time = values.time + begin
         known = np.isfinite(time)
-        if known.any():
-            first = float(time[known.argmax()])
-            if not LEAST_SECONDS < first < MOST_SECONDS or first - (self._start or first) > LEAST_SECONDS:
-                how: Parts = ("state when the log began, such as ", Argument("start", "2026-05-01T12:00:00Z"))
-                if self._start is not None:
-                    how = (
-                        "it counts from the ",
-                        Argument("start"),
-                        " that is stated: leave that out where times are dates",
-                    )
-                why = f"the time {first - (self._start or 0.0):g} is no date and no count of seconds since 1970: "
-                raise InputError((why, *how), file=self._log)
-        elif isnan(self._last) and np.isfinite(values.readings).any():
-            raise InputError(no_time_yet(len(time), "which calibration they take"), file=self._log)
-        else:
-            first = float(self._dates[-1])  # of rows without readings
+        if not known.any():
+            if isnan(self._last) and np.isfinite(values.readings).any():
+                raise InputError(no_time_yet(len(time), "which calibration they take"), file=self._log)
+            return np.full(len(time), self._last)
+        first = float(time[known.argmax()])
+        how: Parts = ("state when the log began, such as ", Argument("start", "2026-05-01T12:00:00Z"))
+        dated = LEAST_SECONDS < first < MOST_SECONDS
+        if self._start is not None and first - begin > LEAST_SECONDS:
+            dated, how = (
+                False,
+                ("it counts from the ", Argument("start"), " that is stated: leave that out where times are dates"),
+            )
+        if not dated:
+            why = f"the time {first - begin:g} is no date and no count of seconds since 1970: "
+            raise InputError((why, *how), file=self._log)
         place = np.maximum.accumulate(np.where(known, np.arange(len(time)), -1))
         time = np.where(place < 0, first if isnan(self._last) else self._last, time[place])
-        self._last = float(time[-1]) if known.any() else self._last
+        self._last = float(time[-1])
         return np.asarray(time)
 
 

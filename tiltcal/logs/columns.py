@@ -118,10 +118,10 @@ def locate_columns(
             hint = f"; `tiltcal probe {path}` shows what is in it" if path not in ("", "-") else ""
             raise InputError((*parts_of(why), hint), file=log.name, line=log.header_line)
     stated = {role: column for role, column in located.items() if role in (*channels, *others, *named)}
-    shared = [role for role, column in stated.items() if list(stated.values()).count(column) > 1]
-    if shared:
-        name = log.names[located[shared[0]]]
-        raise InputError(f"{' and '.join(shared)} are one column, {name!r}: name the column of each", file=log.name)
+    for column in stated.values():
+        if len(shared := [role for role, other in stated.items() if other == column]) > 1:
+            why = f"{' and '.join(shared)} are one column, {log.names[column]!r}: name the column of each"
+            raise InputError(why, file=log.name)
     if TIME not in (*channels, *others):
         located.pop(TIME, None)
     return located

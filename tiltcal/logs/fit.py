@@ -37,7 +37,6 @@ from tiltcal.logs.frames import FrameReader, rows_of
 from tiltcal.logs.log import Progress
 from tiltcal.logs.options import FitOptions, Remark
 from tiltcal.logs.positions import (
-    SOAKS,
     Rails,
     Trimmed,
     intervals_of,
@@ -45,6 +44,7 @@ from tiltcal.logs.positions import (
     placed,
     position_of,
     require_positions,
+    soak_of,
     trimmed,
 )
 from tiltcal.logs.recordings import (
@@ -290,8 +290,7 @@ def _of_log(
         stated, origin = [*holds.segments], _trimmed_origin(holds, origin, say)
         _require_held(procedure, holds, file)
     segments = stated or [Segment(procedure.positions[0].name, 0, len(record), None, None)]
-    soak = (procedure.soak.thermometer or SOAKS * procedure.soak.seconds) if procedure.thermal else 0.0
-    intervals = intervals_of(record, sensor.channels, segments, rails, file=file, soak=soak)
+    intervals = intervals_of(record, sensor.channels, segments, rails, file=file, soak=soak_of(procedure))
     for one in (interval.measurement for interval in intervals):
         if far := one.noted.get("left_out"):
             which = "1 sample is" if far == 1 else f"{far} samples are"

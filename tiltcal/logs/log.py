@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, BinaryIO, ClassVar
@@ -98,7 +99,7 @@ class LogClock:
         self._unit: str | None = None
         self._rows = 0
         self._last: Array = np.empty(0)
-        self._breaks: dict[str, tuple[int, int]] = {}
+        self._breaks, self._first = Counter[str](), dict[str, int]()
 
     def seconds(
         self, times: Array, cells: pl.Series | None, stated: str | None, file: str
@@ -123,20 +124,21 @@ class LogClock:
         self._rows += len(times)
         times = np.concatenate([self._last, times])
         for kind, found in zip(("starts again", "goes back"), clock_breaks(times), strict=True):
-            count, at = self._breaks.get(kind, (0, 0))
+            self._breaks[kind] += len(found)
             if len(found):
-                self._breaks[kind] = (count + len(found), at or int(found[0]) + shift)
+                self._first.setdefault(kind, int(found[0]) + shift)
         known = times[np.isfinite(times)]
-        if doubled := int(np.count_nonzero(np.diff(known) == 0.0)):
-            self._breaks["stands still"] = (self._breaks.get("stands still", (0, 0))[0] + doubled, 0)
+        self._breaks["stands still"] += int(np.count_nonzero(np.diff(known) == 0.0))
         self._last = known[-1:]
 
     @property
     def remarks(self) -> list[str]:
         """What is odd in the times that were read: a restart, rows out of order, doubled times."""
         return [
-            f"the time {kind} {counted(count, 'time')}" + (f", first at row {at}" if at else "")
-            for kind, (count, at) in self._breaks.items()
+            f"the time {kind} {counted(count, 'time')}"
+            + (f", first at row {self._first[kind]}" if kind in self._first else "")
+            for kind, count in self._breaks.items()
+            if count
         ]
 
 
@@ -185,10 +187,12 @@ class LogReader(ABC):
         """
         keep_freed_memory()
         blocks = self._blocks(tuple(columns), time, frames)
-        rows, timed = 0, not needs_time or time is None
+        rows, untimed = 0, time if needs_time else None
         for block in read_ahead(blocks) if self.reads_ahead else blocks:
-            timed = timed or bool(np.isfinite(block.values[time or 0]).any())
-            if not timed and block.times is not None and (wrong := unread_time(block.times, self.names[time or 0])):
+            if untimed is not None and np.isfinite(block.values[untimed]).any():
+                untimed = None
+            wrong = None if untimed is None or block.times is None else unread_time(block.times, self.names[untimed])
+            if wrong is not None:
                 raise self._row_error(wrong[1], rows + wrong[0])
             rows += len(block)
             block = self._converted(block, time, temperatures)

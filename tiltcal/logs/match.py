@@ -39,7 +39,7 @@ _TURNS_OF_SEGMENT, _LONGEST_SEGMENT = 8, 1 << 18  # turns and, at the most, rows
 class PairLog:
     """A log of pairs, demodulated: so many ``turns`` of the stage in ``rows``, others being left out (``missing``).
 
-    ``seconds`` are those from the first row to the last, None without time.
+    ``extent`` is from the first row to the last, in seconds; in rows where there is no time (``timed`` is False).
     """
 
     record: StageRecord
@@ -47,17 +47,18 @@ class PairLog:
     turns: float
     rows: int
     missing: int
-    seconds: float | None
+    extent: float
+    timed: bool
 
     @property
-    def frequency(self) -> float | None:
-        """The frequency of the spin, Hz; None where the log has no time."""
-        return self.turns / self.seconds if self.seconds else None
+    def frequency(self) -> float:
+        """The frequency of the spin, Hz, or turns a row."""
+        return self.turns / self.extent
 
     @property
-    def rate(self) -> float | None:
-        """Rows per second; None where the log has no time."""
-        return (self.rows + self.missing - 1) / self.seconds if self.seconds else None
+    def rate(self) -> float:
+        """Rows per second, or 1."""
+        return (self.rows + self.missing - 1) / self.extent
 
     def densities(self, matching: Matching) -> tuple[Array, dict[str, Array]]:
         """Return frequencies, and the densities of the source's figure 6 by Welch's method; unit²/Hz.
@@ -73,10 +74,10 @@ class PairLog:
         pair, whole = matching.pair, self.record.whole
         first, second, orthogonal = (self.record.readings[self.record.channels.index(name)] for name in pair.channels)
         alone, densities = first[whole], {}
-        frequency, densities[pair.first] = welch(alone, self.rate or 1.0, nperseg=segment)
+        frequency, densities[pair.first] = welch(alone, self.rate, nperseg=segment)
         for name, q in (("sum after p", 0.0), ("sum after p and q", matching.q)):
             matched = matched_sum(alone, second[whole], orthogonal[whole], matching.p, q)
-            densities[name] = welch(matched, self.rate or 1.0, nperseg=segment)[1]
+            densities[name] = welch(matched, self.rate, nperseg=segment)[1]
         return frequency, densities
 
 
@@ -101,10 +102,10 @@ def match_log(
     pairs: Sequence[Pair],
     *,
     phase: str | None,
-    online: bool = False,
-    loops: bool = False,
-    skip_bad_rows: bool = False,
-    say: Callable[[str], None] = lambda line: None,
+    online: bool,
+    loops: bool,
+    skip_bad_rows: bool,
+    say: Callable[[str], None],
     progress: Progress | None = None,
 ) -> tuple[PairRecord, PairLog, Course]:
     """Match pairs, and keep what a figure shows; the arguments are those of :func:`tiltcal.match`.
@@ -148,7 +149,7 @@ def match_log(
         log=LogRecord(name=name, sha256=sha, rows=rows, missing=read.missing) if (sha := log.sha256) else None,
         stage_angle=None if phase else "estimated from the readings",
     )
-    spin = SpinRecord(turns=read.turns, frequency=read.frequency, phase=phase)
+    spin = SpinRecord(turns=read.turns, frequency=read.frequency if read.timed else None, phase=phase)
     return PairRecord(spin=spin, online=online, matchings=matchings, provenance=provenance), read, course
 
 
@@ -211,8 +212,9 @@ def read_pair_log(
     turns, rows = record.turns, int(np.count_nonzero(record.whole))
     demodulation = demodulate(channels, record.angle, readings, record.whole)
     known = time[np.isfinite(time)]
-    seconds = float(known[-1] - known[0]) if timed and len(known) else 0.0
-    return PairLog(record, demodulation, turns, rows, len(numbers) - rows, seconds if seconds > 0.0 else None)
+    if not (timed and len(known) and (extent := float(known[-1] - known[0])) > 0.0):
+        timed, extent = False, len(numbers) - 1.0
+    return PairLog(record, demodulation, turns, rows, len(numbers) - rows, extent, timed)
 
 
 @contextmanager

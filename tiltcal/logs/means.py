@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -94,14 +94,14 @@ class Means:
         """Return the number of each row's group, ascending; ``done`` rows are before these."""
         if self.size.rows is not None:
             return (done + np.arange(len(block))) // self.size.rows
-        time = block.values[self.time or 0]
+        time = block.values[cast(int, self.time)]
         timed = np.isfinite(time)
         if not timed.any() and any(np.isfinite(block.readings(sensor.columns)).any() for sensor in self.sensors):
             raise InputError(no_time_yet(len(time), "to which mean they belong"), file=self.log.name)
         place = np.maximum.accumulate(np.where(timed, np.arange(len(time)), 0))
         # Whole microseconds are exact where seconds are not; a border within half of one is where the row is.
         micros = np.rint(np.where(timed, time, time[place]) * 1e6) + 0.5
-        step = np.floor(micros / (float(self.size.seconds or 1.0) * 1e6))
+        step = np.floor(micros / (cast(float, self.size.seconds) * 1e6))
         # NaN differs from NaN: rows before the first time are one group.
         changed = (step[1:] != step[:-1]) & (np.isfinite(step[1:]) | np.isfinite(step[:-1]))
         changed[clock_breaks(time)[0] - 1] = True

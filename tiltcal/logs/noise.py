@@ -180,9 +180,11 @@ def characterise_readings(
         scale = scale_of(unit)
         said.append(f"the unit is {unit} if these are accelerations: at rest they are as long as gravity")
     require_target(target, scale)
-    samples, pace, name = numbers.of(channels), Pace(1.0 / (rate or 1.0), len(numbers)), numbers.name
+    samples, name = numbers.of(channels), numbers.name
     if rate is None:
         samples, pace = evenly_spaced(samples, numbers.by_role[TIME], name)
+    else:
+        pace = Pace(1.0 / rate, len(numbers))
     with ThreadPoolExecutor(os.cpu_count()) as threads:
         each = threads.map(partial(_noise, file=name, interval=pace.interval), channels, samples)
         noises = dict(zip(channels, each, strict=True))

@@ -110,12 +110,13 @@ def _since_midnight() -> pl.Expr:
     """Return the seconds since midnight of the parts of a time of day."""
     import polars as pl
 
-    hour, minute, second = (pl.col(name).cast(pl.Float64, strict=False) for name in ("hour", "minute", "second"))
+    parts = pl.col("hour"), pl.col("minute"), pl.col("second").fill_null("0")
+    hour, minute, second = (part.cast(pl.Float64) for part in parts)
     afternoon = pl.col("half").str.to_lowercase().replace_strict({"am": 0.0, "pm": 12.0}, default=None)
     hour = pl.when(afternoon.is_null()).then(hour).otherwise(hour % 12.0 + afternoon)
-    part = ("0." + pl.col("part").fill_null("0") + "0").cast(pl.Float64, strict=False)
-    sound = (hour < 25.0) & (minute < 60.0) & (second.fill_null(0.0) < 61.0)
-    return pl.when(sound).then(hour * 3600.0 + minute * 60.0 + second.fill_null(0.0) + part)
+    part = ("0." + pl.col("part").fill_null("0") + "0").cast(pl.Float64)
+    sound = (hour < 25.0) & (minute < 60.0) & (second < 61.0)
+    return pl.when(sound).then(hour * 3600.0 + minute * 60.0 + second + part)
 
 
 def are_moments(cells: pl.Series | None) -> bool:
@@ -137,7 +138,7 @@ def unit_since_epoch(times: Array) -> str | None:
     steps = steps[steps > 0.0]
     for unit, factor in (("s", 1.0), ("ms", 1e3), ("us", 1e6), ("ns", 1e9)):
         if len(known) and EPOCH[0] * factor <= known[0] <= EPOCH[1] * factor:
-            usual = float(np.median(steps)) / factor if len(steps) else 1.0
+            usual = float(np.median(steps)) / factor if len(steps) else PACE[0]
             return unit if PACE[0] <= usual <= PACE[1] else None
     return None
 

@@ -9,7 +9,7 @@ from decimal import Decimal
 from difflib import get_close_matches
 from itertools import groupby
 from math import sqrt
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,7 +67,7 @@ def intervals_of(
     rails: Rails,
     *,
     file: str,
-    soak: float = 0.0,
+    soak: float,
 ) -> list[StaticInterval]:
     """Return what the sensor read in each interval, without the samples that are far off the others or missing.
 
@@ -383,14 +383,19 @@ class _LogInterval:
         return InputError(f"segment {part.name}: {why}", file=self.file, line=part.line)
 
 
+def soak_of(procedure: PositionProcedure) -> float:
+    """Return over how many seconds a temperature is judged."""
+    return procedure.soak.thermometer or SOAKS * procedure.soak.seconds
+
+
 def _require_steady(interval: StaticInterval, procedure: PositionProcedure, file: str) -> None:
     """Refuse a temperature point at which thermometer and sensor were still on their way, each at its own pace."""
-    allowed, seconds = procedure.soak.drift, procedure.soak.thermometer or SOAKS * procedure.soak.seconds
+    allowed = procedure.soak.drift
     if abs(interval.warming) > allowed:
         raise InputError(
             f"segment {interval.measurement.position}: the temperature drifts by {interval.warming:+.2f} °C up to its "
-            f"end, more than the {allowed:g} °C that {procedure.name} allows in {seconds:g} s: thermometer and sensor "
-            "are apart while they change; take rows where both stand still, or go slower",
+            f"end, more than the {allowed:g} °C that {procedure.name} allows in {soak_of(procedure):g} s: thermometer "
+            "and sensor are apart while they change; take rows where both stand still, or go slower",
             file=file,
             line=interval.stated.line,
         )
@@ -437,5 +442,4 @@ def _tabled(position: TabledPosition, step: float) -> dict[str, SampleSummary]:
 
 def _digits(number: float) -> int:
     """Return how many digits a number has behind the point."""
-    exponent = Decimal(repr(float(number))).normalize().as_tuple().exponent
-    return max(0, -exponent) if isinstance(exponent, int) else 0
+    return max(0, -cast(int, Decimal(repr(float(number))).normalize().as_tuple().exponent))

@@ -135,7 +135,7 @@ def probe_log(path: str, progress: Progress | None = None) -> LogFacts:
 
 def _any_column(log: LogReader) -> dict[str, int]:
     """Return a column by which the rows of a log without readings are counted: as times it may hold text."""
-    return {TIME if log.unit(0) is None else AXES[0]: 0}
+    return {TIME if log.unit(0) is None else "x": 0}
 
 
 def _guess(log: CsvReader, record: RecordedColumns) -> Guess:

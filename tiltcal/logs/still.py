@@ -211,24 +211,25 @@ def _choices(
     """Yield the detection by each threshold; ``changes`` counts the rows that do not repeat the one before, (n,)."""
     scatter = window_scatter(columns, lost, window)
     noise = stillest(scatter, varying=True)
-    for multiple in MULTIPLES if noise else ():
-        spans = np.stack(run_bounds(scatter <= multiple * (noise or 0.0)), axis=1)
+    if not noise:
+        return
+    for multiple in MULTIPLES:
+        spans = np.stack(run_bounds(scatter <= multiple * noise), axis=1)
         # Bounds that touch a window in motion are half a window inside; what is shorter than that is a turning point.
-        spans = spans[np.diff(spans)[:, 0] >= max(window // 2, 2)] + window // 2
+        spans = spans[np.diff(spans)[:, 0] >= window // 2] + window // 2
         # A span in which nothing changes is stuck; its first row need not repeat the row before it.
         spans = spans[changes[spans[:, 1] - 1] > changes[spans[:, 0]]]
         attitudes = tuple(
             tuple((start, end) for start, end in of_one.tolist()) for of_one in _attitudes(columns, spans)
         )
-        yield StaticDetection(window, multiple, noise or 0.0, attitudes, fit(attitudes))
+        yield StaticDetection(window, multiple, noise, attitudes, fit(attitudes))
 
 
 def _attitudes(columns: Sequence[Array], spans: Numbers) -> list[Numbers]:
     """Return the spans of each attitude, shape (m, 2): those that follow each other without a turn between them."""
     if not len(spans):
         return []
-    bounds = spans.ravel()[: None if spans[-1, 1] < len(columns[0]) else -1]
-    means = np.stack([np.add.reduceat(column, bounds)[::2] for column in columns], axis=1) / np.diff(spans)
+    means = np.stack([np.add.reduceat(column, spans.ravel())[::2] for column in columns], axis=1) / np.diff(spans)
     directions = means - (means.max(axis=0) + means.min(axis=0)) / 2
     directions /= np.maximum(np.linalg.norm(directions, axis=1, keepdims=True), 1e-300)
     first, cuts = directions[0], []

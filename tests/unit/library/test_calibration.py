@@ -81,6 +81,11 @@ def test_a_notebook_shows_calibration_plan_comparison_and_figure() -> None:
     cal = read(FIXTURES / "complete.yaml")
     for shown in (cal, tiltcal.plan("zero-45", sensor="sca100t-d02"), tiltcal.compare(cal, cal)):
         head = re.split(r"\s{2,}", str(shown).splitlines()[1][2:])
+        rows = [
+            re.findall(r'<td style="text-align:left"(?: colspan="(\d+)")?>', row)
+            for row in shown._repr_html_().split("<tr>")[1:]
+        ]
+        assert {len(row) - 1 + int(row[-1]) for row in rows} == {max(map(len, rows))}
         assert "".join(f">{cell}</td>" for cell in head) in re.sub(r"<td [^>]*", "", shown._repr_html_())
         assert isinstance(shown, tiltcal.Calibration) or repr(shown) == str(shown)
     assert ">chi_square</td>" in cal.fit._repr_html_() or ">degrees_of_freedom</td>" in cal.fit._repr_html_()

@@ -1,5 +1,6 @@
 """A calibration with a thermal lag, applied to logs."""
 
+from contextlib import nullcontext
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +11,7 @@ from tiltcal.errors import InputError
 from tiltcal.library.calibration import Calibration, read
 from tiltcal.library.recorded import apply_log
 from tiltcal.logs.apply import NO_TIME
+from tiltcal.logs.kernel import RoleValues, with_lag
 
 LAG = 120.0
 SECONDS = np.arange(0.0, 600.0, 5.0)
@@ -64,11 +66,26 @@ def test_a_row_without_a_time_is_suspect_and_a_missing_reading_has_no_other_reas
     assert (found["flag"].tolist(), found["reason"].tolist()) == ([3, 9], [16, 32])
 
 
-def test_times_that_do_not_go_on_are_refused_with_their_row(tmp_path):
+def plain(values):
+    return {"t": values.temperature, "flag": np.ones(len(values)), "reason": np.zeros(len(values), np.uint16)}
+
+
+def test_times_that_do_not_go_on_are_refused_with_their_row_in_whatever_block():
     """Without a pace there is no lag: such logs were compensated as if the temperature began anew there."""
-    for place, time in ((7, 30.0), (7, 12.0), (1, 0.0)):
+    for place, time in ((7, 30.0), (7, 12.0), (1, 0.0), (40, 195.0), (50, 220.0), (60, 245.0), (None, 0.0)):
         times = SECONDS.copy()
-        times[place] = time
-        log = write(tmp_path / "log.csv", {"time": times, **READINGS, "temperature": THERMOMETER})
-        with pytest.raises(InputError, match=rf"log\.csv: time .* at row {place}, .*columns time=NAME"):
-            applied(LAG, log)
+        times[45:50] = np.nan
+        times[place or slice(0)] = time
+        follow, found = with_lag(plain, LAG, "log.csv"), []
+        with pytest.raises(InputError) if place else nullcontext() as refused:
+            for rows in (slice(0, 40), slice(40, 80), slice(80, 120)):
+                values = RoleValues(np.empty((40, 2)), THERMOMETER[rows], times[rows])
+                found.append(follow(values))
+        if place:
+            assert str(refused.value) == (
+                f"log.csv: time stands still or goes back at row {place}, and the calibration follows a thermal lag: "
+                "sort the log, or name a column of times that go on (columns time=NAME)"
+            )
+    late = np.concatenate([table["t"] for table in found])
+    assert np.delete(late, slice(45, 50)) == pytest.approx(np.delete(ELEMENT, slice(45, 50)), abs=1e-9)
+    assert np.flatnonzero(np.concatenate([table["reason"] for table in found])).tolist() == [*range(45, 50)]

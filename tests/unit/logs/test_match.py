@@ -106,12 +106,20 @@ def test_readings_whose_squares_vanish() -> None:
 
 def test_spectra_are_those_of_the_turning_and_the_noise() -> None:
     """Eight turns of 80 rows, rounded up to a power of two, make a segment; white noise has 2 sigma² / rate."""
-    record, log, _ = match_log(frame(stage.record(seconds=400, rate=10)), [Pair(*PAIR)], phase="theta")
-    frequency, densities = log.densities(record.matchings[0])
-    assert frequency[1] == pytest.approx(10.0 / 1024)
-    assert frequency[np.argmax(densities["a1"])] == pytest.approx(0.125, abs=0.01)
-    # a1, a2 and q a4 have one noise each.
-    assert np.median(densities["sum after p and q"]) == pytest.approx(2 * 2 * 3e-4**2 / 10, rel=0.3)
+    columns = frame(stage.record(seconds=400, rate=10))
+    for rate in (10.0, 1.0):
+        how = {"phase": "theta", "online": False, "loops": False, "skip_bad_rows": False, "say": print}
+        record, log, _ = match_log(columns, [Pair(*PAIR)], **how)
+        frequency, densities = log.densities(record.matchings[0])
+        assert frequency[1] == pytest.approx(rate / 1024)
+        assert frequency[np.argmax(densities["a1"])] == pytest.approx(0.0125 * rate, abs=0.001 * rate)
+        assert (log.frequency, log.rate) == pytest.approx((0.0125 * rate, rate), rel=1e-3)
+        # a1, a2 and q a4 have one noise each.
+        assert np.median(densities["sum after p and q"]) == pytest.approx(2 * 2 * 3e-4**2 / rate, rel=0.3)
+        assert (record.spin.frequency is None) is (columns.pop("time", None) is None)
+    record, log, _ = match_log({name: column[:500] for name, column in columns.items()}, [Pair(*PAIR)], **how)
+    with pytest.raises(EstimateError, match="the record is too short for a spectrum; 16 turns will do"):
+        log.densities(record.matchings[0])
 
 
 def test_online_takes_the_stage_angle() -> None:

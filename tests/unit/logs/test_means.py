@@ -85,10 +85,11 @@ class TestGroups:
         assert set(cal.apply(rows(time=np.arange(0, 900) * 3950 / 1e6), every="7.9ms")["count"].tolist()) == {2}
 
     def test_missing_rows_are_left_out_and_not_counted(self, cal: Calibration) -> None:
-        found = cal.apply(rows(x=[2.5, nan, 2.7, nan, nan], n=[1, 2, 4, 6, 8]), average=3)
-        assert found["count"].tolist() == [2, 0]
-        assert found["x"] == pytest.approx([2.6, nan], nan_ok=True)
-        assert found["n"] == pytest.approx([2.5, 7.0])
+        log = rows(x=[2.5, nan, 2.7, nan, nan], y=[2.5, 9.0, 2.9, 2.5, 2.7], n=[1, 2, 4, 6, 8])
+        found = cal.apply(log, average=3)
+        means = {"count": [2, 0], "x": [2.6, nan], "y": [2.7, nan], "n": [2.5, 7.0], "g_y": [0.1, nan]}
+        for name, expected in means.items():
+            assert found[name] == pytest.approx(expected, nan_ok=True)
         assert (found["flag"].tolist(), found["reason"].tolist()) == ([1, 9], [0, 32])
         assert cal.apply(rows(temperature=[20.0, nan, 21.0]), average=3)["temperature"] == pytest.approx([20.5])
 
@@ -130,6 +131,13 @@ def test_blocks_of_a_file_and_a_frame_give_the_same(cal: Calibration) -> None:
         assert found["count"].to_list() == whole["count"].to_list()
         np.testing.assert_allclose(found["tilt_x"], whole["tilt_x"], atol=1e-9)
         assert found["who"].to_list() == whole["who"].to_list()
+
+
+def test_rows_that_cannot_be_parsed_are_counted_over_all_means(cal: Calibration) -> None:
+    Path("log.csv").write_text("x,y\n" + "2.5,2.5\n2.6,oops\n2.7,2.5\n" * 3)
+    found = apply_log(cal, "log.csv", "out.csv", average=3, skip_bad_rows=True)
+    assert found.as_data() == {"rows": 3, "flags": {"1": 3}, "reasons": {}, "bad_rows": 3}
+    assert pl.read_csv("out.csv")["count"].to_list() == [2, 2, 2]
 
 
 def test_shares_are_those_worked_out_by_hand(cal: Calibration) -> None:

@@ -31,7 +31,7 @@ def parquet(folder: Path, times: Sequence[object]) -> list[float]:
     path = folder / "log.parquet"
     pl.DataFrame({"time": pl.Series(times), "x": np.zeros(len(times))}).write_parquet(path)
     with path.open("rb") as stream:
-        reader = ParquetReader(LogSource(stream, str(path), "log.parquet"))
+        reader = ParquetReader(LogSource(stream, str(path), "log.parquet", path.stat().st_size))
         return [time for rows in reader.rows([0, 1], 0, needs_time=True) for time in rows.values[0]]
 
 

@@ -95,7 +95,9 @@ def test_what_is_measured_in_segments() -> None:
         Segment("a", *span, gravity, None)
         for span, gravity in (((0, 40), None), ((40, 80), None), ((90, 170), up), ((170, 240), None))
     ]
-    first, up_again, again = intervals_of(RecordedColumns(readings, "log.csv", 0), "xy", parts, RAILS, file="s.csv")
+    first, up_again, again = intervals_of(
+        RecordedColumns(readings, "log.csv", 0), "xy", parts, RAILS, file="s.csv", soak=0.0
+    )
     assert [one.measurement.position for one in (first, up_again, again)] == ["a", "a (2)", "a (3)"]
     assert [one.stated for one in (first, up_again, again)] == [parts[0], *parts[2:]]
     assert [one.measurement.noted for one in (first, up_again, again)] == [
@@ -112,12 +114,34 @@ def test_what_is_measured_in_segments() -> None:
     procedure = find_procedure("two-temperature")
     warm, cold = procedure.positions
     segments = [replace(parts[0], name=warm.name), replace(parts[2], name=cold.name)]
-    two = intervals_of(RecordedColumns(readings, "log.csv", 0), "xy", segments, RAILS, file="s.csv")
+    two = intervals_of(RecordedColumns(readings, "log.csv", 0), "xy", segments, RAILS, file="s.csv", soak=0.0)
     set_, stated = placed([replace(one, warming=0.0) for one in two], procedure, file="s.csv")
     assert (set_.gravity, set_.tilt, stated.gravity, stated.tilt) == (warm.gravity, warm.tilt, up, None)
     without = {name: column for name, column in readings.items() if name != "temperature"}
-    two = intervals_of(RecordedColumns(without, "log.csv", 0), "xy", segments, RAILS, file="s.csv")
+    two = intervals_of(RecordedColumns(without, "log.csv", 0), "xy", segments, RAILS, file="s.csv", soak=0.0)
     assert [one.temperature for one in placed(two, procedure, file="s.csv")] == [warm.temperature, None]
+
+
+def test_a_temperature_is_judged_over_its_soak() -> None:
+    """It rises by 10 mK a row and second; without time up to the segment before, and never beyond a restart."""
+    readings, _ = held("abc")
+    time, temperature = np.arange(240.0), 20.0 + 0.01 * np.arange(240.0)
+    restarted = np.where(time < 70.0, time, time - 70.0)
+    segments = [Segment(name, *rows, None, None) for name, *rows in (("a", 0, 50), ("b", 90, 105), ("b", 105, 120))]
+    for times, soak, begin in (
+        (time, 0.0, 90),
+        (time, 20.0, 90),
+        (time, 60.0, 59),
+        (time, 119.0, 0),
+        (time, 500.0, 0),
+        (restarted, 60.0, 70),
+        (np.where(time == 100.0, np.nan, time), 60.0, 101),
+        (np.where(time == 119.0, np.nan, time), 60.0, 50),
+        (None, 60.0, 50),
+    ):
+        columns = {**readings, "temperature": temperature} | ({} if times is None else {"time": times})
+        _, found = intervals_of(RecordedColumns(columns, "log.csv", 0), "xy", segments, RAILS, file="s.csv", soak=soak)
+        assert found.warming == pytest.approx(0.01 * (119 - min(begin, 90))), (soak, begin)
 
 
 AT = slice(80, 160)

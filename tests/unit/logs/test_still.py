@@ -7,6 +7,7 @@ from math import inf
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy import stats
 
 from tiltcal.core.detection import STUCK
 from tiltcal.errors import EstimateError
@@ -77,6 +78,13 @@ def test_every_attitude_is_found_and_nothing_of_the_motion() -> None:
     assert np.diag(chosen.fit.sensitivity) == pytest.approx(np.diag(SENSITIVITY), abs=1e-3)
     assert chosen.threshold == chosen.multiple * chosen.noise
     assert chosen.noise == pytest.approx(0.001 * 3.0**0.5, rel=0.2)
+    # Nine attitudes are as good as sixteen up to what their two degrees of freedom show: 1 + 1 / sqrt(4).
+    for expanded, most in ((1.49, 16), (1.51, 9)):
+
+        def judge(means: Array, _: Array, more: float = expanded) -> PositionFit:
+            return PositionFit(("a",) * len(means), (), 2, more if len(means) > 9 else 1.0)
+
+        assert len(find_still(log.T, judge).intervals) == most
     assert chosen.in_words(" g") == (
         f"{len(chosen.segments)} static intervals in 16 attitudes: standard deviation over {chosen.window} rows up to "
         f"{chosen.threshold:.4g} g, {chosen.multiple:g} times the noise of the stillest part"
@@ -173,6 +181,15 @@ def test_the_positions_of_two_axes_are_told_by_the_extreme_readings() -> None:
     assert isinstance(found, PositionFit)
     assert found.names == ("y+", "x-", "", "x+", "y-", "x+")
     assert (found.absent, found.distinct, found.dof) == ((), 5, 2)
+    design = np.array([[1, 0, 0.5], [1, -0.5, 0], [1, 0.5, 0], [1, 0, -0.5], [1, 0.5, 0]])
+    readings = np.delete(means, 2, axis=0) * 0.5 / [401.0, 400.0]
+    spread = np.mean(np.diag(np.linalg.inv(design.T @ design)))
+    for u in (0.5, 50.0):
+        squares = max(
+            np.linalg.lstsq(design, readings)[1].sum() / 4, np.mean((u * 0.5 / np.array([401.0, 400.0])) ** 2)
+        )
+        found = judge(means, np.full(means.shape, u))
+        assert found.expanded == pytest.approx(stats.t.ppf(0.975, 4) * np.sqrt(squares * spread))
     assert judge(means[1:], np.full((5, 2), 0.5)).expanded == inf
     assert judge_of({"level": (0, 0, 1), "x": (0.7, 0, 0.7), "y": (0, 0.7, 0.7)}, "xy") is None  # nothing is left over
     assert judge_of({**positions, "turned": (0.5, 0.05, 0.86)}, "xy") is None

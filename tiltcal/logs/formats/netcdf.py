@@ -16,7 +16,7 @@ from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC, datetime
 from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -75,7 +75,7 @@ class NetcdfReader(FrameReader):
             rows = slice(start, min(start + step, total))
             with refusing(_DAMAGED, self.name), foreign_library.get()(self.name):
                 block = self._block(DatasetFrame(self.data.isel({dimension: rows})), columns, time, frames)
-            self.bytes_read = (self.source.size or 0) * rows.stop // total
+            self.bytes_read = cast(int, self.source.size) * rows.stop // total
             yield block
 
 

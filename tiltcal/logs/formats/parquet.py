@@ -11,7 +11,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 from tiltcal.errors import InputError
 from tiltcal.logs.foreign_library import foreign_library
@@ -56,7 +56,7 @@ class ParquetReader(LogReader):
             for frame in scan.collect_batches(chunk_size=_ROWS, maintain_order=True):
                 values = {index: self._values(frame[self.names[index]], index, time) for index in columns}
                 done += len(frame)
-                self.bytes_read = (self.source.size or 0) * done // self._rows
+                self.bytes_read = cast(int, self.source.size) * done // self._rows
                 times = None if time is None else frame[self.names[time]]
                 yield LogBlock(values, frame=frame if frames else None, times=times)
         if done != self._rows:
