@@ -21,6 +21,7 @@ from tiltcal.core.noise import characterise, kinds_of_noise
 from tiltcal.core.pair.demodulate import demodulate
 from tiltcal.core.pair.matching import solve
 from tiltcal.core.pair.model import Pair
+from tiltcal.core.pair.online import Online
 from tiltcal.core.pair.stage import estimate_spin, estimated_angle, follow, stage_record
 from tiltcal.core.ramp.record import RampRecord, legs_of, ramp_record
 from tiltcal.core.uncertain import Uncertain
@@ -59,6 +60,15 @@ def matched(first: str, second: str, orthogonal: str, a4: float = 3.39, a1: floa
     taken = disk.record(seconds=40.0, scale=(a1, 3.415, 3.402, a4))
     record = demodulate(disk.NAMES, follow(taken.theta + 40.0), taken.readings.T, np.ones(len(taken.theta), bool))
     solve(record, Pair(first, second, orthogonal))
+
+
+def online(seconds: float, lost: int = 0) -> None:
+    """Online, of which a2 reads nothing in the last rows."""
+    taken = disk.record(seconds=seconds, rate=10)
+    taken.readings[len(taken.time) - lost :, 1] = 0.0
+    estimators = Online(Pair("a1", "a2", "a4"), disk.NAMES)
+    estimators.push(taken.theta, taken.readings.T)
+    estimators.coefficients(loops=True)
 
 
 def ramp(time: list[float], temperature: list[float], step: float = 0.0) -> RampRecord:
@@ -126,6 +136,10 @@ REFUSED: list[tuple[Callable[[], object], type[Exception], str]] = [
     (lambda: matched("a1", "a1", "a4"), EstimateError, r"p is 2.0000.* it sits opposite a1 with the same polarity"),
     (lambda: matched("a1", "a2", "a4", a4=0.33), EstimateError, "a4 has 0.3.* it cannot correct a misalignment"),
     (lambda: matched("a1", "a2", "a4", a1=0.0), EstimateError, "a1 has no clear signal at the spin frequency"),
+    (lambda: online(15.0), EstimateError, "had 1 whole turns and need 2: the record is too short"),
+    (lambda: online(7.0), EstimateError, "had 0 whole turns and need 2: the stage has not turned yet"),
+    (lambda: online(45.0), EstimateError, "the loops have not settled in 5 turns: let the stage turn for longer"),
+    (lambda: online(81.0, lost=90), EstimateError, r"p runs to \d.\d\d: a2 and a4 cannot be matched to a1"),
     (lambda: spin(80.0, scale=(0.0,) * 4), EstimateError, "no spectral line is above the noise"),
     (lambda: spin(10.0), EstimateError, r"turns 1.\d\d times in it: .* less than 2 turns"),
     (lambda: spin(0.2), EstimateError, "too short"),

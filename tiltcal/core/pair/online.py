@@ -1,8 +1,8 @@
 """Matching a pair online: a stream cut into whole turns, and two estimators that take one turn after another.
 
-The two loops of the source demodulate the turn and trim p until the matched sum's component in phase with the first
-accelerometer is gone, then q as well until the component in quadrature is. The first accelerometer itself is the
-reference, so the zero of the stage angle does not matter. The recursive estimator needs fewer turns: it keeps the sums
+The two loops of the source demodulate the turn and trim p towards the value that takes the matched sum's component in
+phase with the first accelerometer away, then q as well, by the component in quadrature. The first accelerometer itself
+is the reference, so the zero of the stage angle does not matter. The recursive estimator needs fewer turns: it keeps the sums
 of products of all rows, older ones with less weight (least squares with exponential forgetting), and solves for p and q
 in closed form.
 
@@ -25,7 +25,7 @@ from tiltcal.core.flags import Mask
 from tiltcal.core.model import Array
 from tiltcal.core.pair.demodulate import DRIFT, ONE, READINGS, bounds_of, regress, regression_columns
 from tiltcal.core.pair.matching import PairCoefficients, solve
-from tiltcal.core.pair.model import FEWEST_TURNS, Pair, sum_weights
+from tiltcal.core.pair.model import FEWEST_TURNS, Pair
 from tiltcal.core.pair.stage import BACKWARDS, PARTS, ROUNDING, STANDING, follow
 from tiltcal.errors import EstimateError
 
@@ -38,9 +38,8 @@ COARSE = (
 
 _COMPLETE = 0.5  # fraction of a turn's rows that must have all values
 _FIRST_HARMONICS = [0, 1, 2, 3, ONE, DRIFT]
-_SETTLED = 1e-3  # in-phase residual, relative, below which the loop of p lets the loop of q begin
-_TURNS_TO_SETTLE = 20  # after which it begins anyway: noise may not let the residual be that small
-_LOST = 1e-2  # residual, relative, above which a loop runs with its full gain again
+_ALONE = 2  # turns in which p is trimmed alone: a hundredth of its error is left then
+_LOST = 1e-2  # error of p or q above which a loop runs with its full gain again
 _FULL, _LEAST = 0.9, 0.03  # gains of a loop: at first, and when it has averaged for long
 _CALM = 8  # turns with full gain, in which the error goes
 _FARTHEST = 0.9  # p at which a loop gives up
@@ -171,8 +170,7 @@ class TrimmingLoops:
     def __init__(self, pair: Pair, channels: Sequence[str]) -> None:
         self._pair, self._p, self._q = pair, 0.0, 0.0
         self._where = [READINGS + channels.index(channel) for channel in pair.channels]
-        self._trims_q = False
-        self._settled = self._turns = 0
+        self._turns = 0
         self._squares = 1.0  # of the weights of single turns
         self._latest = deque([(inf, inf)], maxlen=4)  # corrections of p and q
         self._estimates: deque[tuple[float, float]] = deque(maxlen=_LATE)  # of single turns
@@ -200,33 +198,26 @@ class TrimmingLoops:
         columns, against = (turn.products[np.ix_(_FIRST_HARMONICS, to)] for to in (_FIRST_HARMONICS, self._where))
         sines, cosines = np.linalg.lstsq(columns, against, rcond=None)[0][:2]
         phasors = sines + 1j * cosines
-        first, _, orthogonal = phasors
-        if abs(first) < 1e-300:
-            raise EstimateError(f"{self._pair.first} has no signal at the spin frequency")
-        residual = complex(phasors @ sum_weights(self._p, self._q) / first)
-        quadrature = float((orthogonal / first).imag)
-        if abs(quadrature) < _LEAST_QUADRATURE:
-            raise EstimateError(f"{self._pair.orthogonal} has no signal in quadrature to {self._pair.first}")
-        by_p, by_q = (1.0 - self._p) * residual.real, -(1.0 - self._p) / quadrature * residual.imag
-        if not -_FARTHEST / (1.0 - _FARTHEST) < self._p + by_p < _FARTHEST:
+        with np.errstate(all="ignore"):  # of a first accelerometer without a signal
+            _, second, orthogonal = phasors / phasors[0]
+            p, q = 1.0 + float((second + self._q * orthogonal).real), -float(second.imag / orthogonal.imag)
+        if not (abs(orthogonal.imag) > _LEAST_QUADRATURE and -_FARTHEST / (1.0 - _FARTHEST) < p < _FARTHEST):
             raise EstimateError(
-                f"p runs to {self._p + by_p:.2f}: {self._pair.second} cannot be matched to {self._pair.first}"
+                f"p runs to {p:.2f}: {self._pair.second} and {self._pair.orthogonal} cannot be matched to "
+                f"{self._pair.first}"
             )
         self._turns += 1
-        self._settled = self._settled + 1 if abs(residual.real) < _SETTLED else 0
-        begins = not self._trims_q and (self._settled > 1 or self._turns > _TURNS_TO_SETTLE)
-        self._trims_q |= begins
-        error = abs(residual) if self._trims_q else abs(residual.real)
-        if begins or error > _LOST:  # run with full gain again; what q was off has been part of the residual of p
-            self._turns = 1
+        by_p, by_q = p - self._p, q - self._q if self._turns > _ALONE else inf
+        if _LOST < max(abs(by_p), abs(by_q)) < inf:
+            self._turns = _ALONE + 1
             self._estimates.clear()
-        gain = max(1.0 / (1.0 / _FULL + max(self._turns - _CALM, 0)), _LEAST)
-        self._latest.append((by_p, by_q if self._trims_q else inf))
-        if self._turns > _CALM // 2 and self._trims_q:
-            self._estimates.append((self._p + by_p, self._q + by_q))
+        gain = max(1.0 / (1.0 / _FULL + max(self._turns - _ALONE - _CALM, 0)), _LEAST)
+        self._latest.append((by_p, by_q))
+        if self._turns > _ALONE + _CALM // 2:
+            self._estimates.append((p, q))
         self._squares = (1.0 - gain) ** 2 * self._squares + gain**2
         self._p += gain * by_p
-        self._q += gain * by_q if self._trims_q else 0.0
+        self._q += gain * by_q if by_q < inf else 0.0
 
 
 class Recursive:
