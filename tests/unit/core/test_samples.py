@@ -14,6 +14,7 @@ from tiltcal.core.model import Array
 from tiltcal.core.samples import (
     ReadingStep,
     SampleSummary,
+    _rounded,
     common_step,
     correlated_noise,
     drift,
@@ -78,22 +79,7 @@ def test_a_drift_is_that_of_the_regression_line(times: Array) -> None:
 def test_noise_with_a_memory_counts_as_it_does() -> None:
     """An exponential memory: the correlation that ten block means show of it, and what their scatter leaves out."""
     draw = np.random.default_rng(1).normal(size=(20_000, 10))
-    for time in (
-        0.02,
-        0.1,
-        0.2,
-        0.3,
-        0.4,
-        0.5,
-        0.7,
-        1.0,
-        1.4,
-        2.0,
-        3.0,
-        5.0,
-        10.0,
-        30.0,
-    ):  # of a correlation, in blocks
+    for time in (0.02, 0.1, 0.2, 0.3, 0.4, 0.5, 0.7, 1.0, 1.4, 2.0, 3.0, 5.0, 10.0, 30.0):  # in blocks
         apart = np.abs(np.subtract.outer(np.arange(10), np.arange(10)))
         within = 2 * time - 2 * time**2 * (1 - exp(-1 / time))
         covariance = np.where(apart, time**2 * (np.exp(1 / time) - 2 + exp(-1 / time)) * np.exp(-apart / time), within)
@@ -106,6 +92,9 @@ def test_noise_with_a_memory_counts_as_it_does() -> None:
         assert found.factor == pytest.approx(truth, rel=0.03 if time < 10.0 else 0.1)
         longer = float(found.note.split("at least ")[1].split()[0])
         assert longer == pytest.approx(max(5.0 * time, 1.0), rel=0.1 if time < 10.0 else 0.4)
+        # Of sixteen it counts half a standard deviation above its mean.
+        few = correlated_noise([SampleSummary(0.0, 1.0, 100, 0.1, correlation=float(shown) - 0.27 / 8.0)] * 16)
+        assert few is None or few.factor == pytest.approx(found.factor, rel=0.03)
     # Of white noise it is -0.1, ± 0.27 in one position: 1.5 of these count, 4 are told.
     for sigmas, counts, told in ((1.4, False, False), (1.6, True, False), (3.9, True, False), (4.1, True, True)):
         one = SampleSummary(0.0, 1.0, 100, 0.1, correlation=-0.1 + sigmas * 0.27 / 4.0)
@@ -127,6 +116,7 @@ def rounded(noise: float) -> tuple[float, float]:
 
 @pytest.mark.parametrize("noise", [0.05, 0.15, 0.4, 0.8])
 def test_the_noise_before_rounding_and_what_rounding_leaves(noise: float) -> None:
+    _rounded.cache_clear()
     variance, error = rounded(noise)
     assert noise_under_rounding(4.0 * variance, 2.0) == pytest.approx(2.0 * noise, rel=0.03)
     expected = pytest.approx(2.0 * error, rel=0.02, abs=1e-4)

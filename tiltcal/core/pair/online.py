@@ -2,9 +2,9 @@
 
 The two loops of the source demodulate the turn and trim p towards the value that takes the matched sum's component in
 phase with the first accelerometer away, then q as well, by the component in quadrature. The first accelerometer itself
-is the reference, so the zero of the stage angle does not matter. The recursive estimator needs fewer turns: it keeps the sums
-of products of all rows, older ones with less weight (least squares with exponential forgetting), and solves for p and q
-in closed form.
+is the reference, so the zero of the stage angle does not matter. The recursive estimator needs fewer turns: it keeps
+the sums of products of all rows, older ones with less weight (least squares with exponential forgetting), and solves
+for p and q in closed form.
 
 A turn in which the stage stood or turned back, the stream had a gap or values were missing is not handed on: the
 estimators keep what they have, the stream says why, and goes on with the next whole turn.
