@@ -117,7 +117,7 @@ def judged(kind: str, pace: float, legs: int, seed: int) -> dict[str, Any]:
     time, thermometer, readings, exact, still = record(kind, pace, legs, draw)
     whole = ramp_record(time, thermometer, readings.T)
     try:
-        fit = fit_ramp(whole, reference=REFERENCE)
+        fit = fit_ramp(whole, reference=REFERENCE, highest=3)
     except EstimateError as refusal:
         return {"refused": str(refusal)}
     reached = ThermalLag(fit.lag)(whole.time, whole.temperature)

@@ -1,5 +1,6 @@
 """What follows from the sensitivity matrix: against formulas by hand."""
 
+from dataclasses import replace
 from math import degrees, radians, sqrt
 
 import numpy as np
@@ -50,6 +51,13 @@ def test_a_common_turn_is_uncertain_in_the_mounting_alone() -> None:
     assert turned.by_name(turned.u)["rotation_degrees.yaw"] == pytest.approx(0.1, rel=1e-3)
     assert turned.by_name(turned.u)["rotation_degrees.roll"] < 1e-3
     assert np.all(intrinsic(STRAIGHT, known).u < 1e-3)
+    # Along ±90° of pitch roll and yaw are one turn, each of them anything: 180°/√3.
+    upright = TRIANGULAR @ mounting_matrix(Mounting(0.3, radians(89.9), 0.2))
+    turned, locked = rotation(replace(STRAIGHT, sensitivity=upright), uncertain(NAMES, np.diag(np.full(12, 1e-6))))
+    assert locked
+    assert turned.value[1] == pytest.approx(89.9)
+    assert turned.u[[0, 2]] == pytest.approx([180.0 / sqrt(3.0)] * 2)
+    assert turned.u[1] == pytest.approx(degrees(1e-3), rel=0.05)
 
 
 def test_cross_axis_and_misalignment_with_their_uncertainty() -> None:

@@ -19,7 +19,7 @@ from tiltcal.core.estimation.positions import Design, Observation, SensorObserva
 from tiltcal.core.model import AXES, Array, Coefficients, Mounting, vector_of
 from tiltcal.core.noise import characterise, kinds_of_noise
 from tiltcal.core.pair.demodulate import demodulate
-from tiltcal.core.pair.matching import solve
+from tiltcal.core.pair.matching import MatchedRotation, rotation_of, solve
 from tiltcal.core.pair.model import Pair
 from tiltcal.core.pair.online import Online
 from tiltcal.core.pair.stage import estimate_spin, estimated_angle, follow, stage_record
@@ -60,6 +60,11 @@ def matched(first: str, second: str, orthogonal: str, a4: float = 3.39, a1: floa
     taken = disk.record(seconds=40.0, scale=(a1, 3.415, 3.402, a4))
     record = demodulate(disk.NAMES, follow(taken.theta + 40.0), taken.readings.T, np.ones(len(taken.theta), bool))
     solve(record, Pair(first, second, orthogonal))
+
+
+def turning() -> MatchedRotation:
+    taken = disk.record(seconds=40.0, rate=5)
+    return rotation_of(disk.NAMES, np.column_stack([taken.time, taken.theta, taken.readings]))
 
 
 def online(seconds: float, lost: int = 0) -> None:
@@ -127,6 +132,7 @@ REFUSED: list[tuple[Callable[[], object], type[Exception], str]] = [
     (lambda: stage_record("a", np.full(3, nan), [UP[0]]).turns, EstimateError, "the record has 0.00 turns"),
     (lambda: estimated_angle(np.full(3, nan), [UP[0]]), EstimateError, "no row has a time"),
     (lambda: estimated_angle(UP[0], [np.full(3, nan)]), EstimateError, "no row of the record has all readings"),
+    (lambda: turning().matched([Pair("a1", "a4", "a2")] * 2), EstimateError, "^a1 and a4: a2 .*; a1 and a4: a2 is not"),
     (lambda: matched("a1", "a4", "a2"), EstimateError, "a2 is not orthogonal to a1: their phases are less than 6°"),
     (
         lambda: matched("a1", "a3", "a4"),

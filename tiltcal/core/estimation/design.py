@@ -70,11 +70,6 @@ def require_determined(equations: Equations, z: Array) -> None:
 
 def _positions_to_add(channel: ChannelReadings, theta: Array, gravity: Array, rows: Array) -> list[str]:
     """Return the few positions that determine a channel beside some rows, (rows, coefficients), the best first."""
-    sensitivities = slice(1, 1 + len(channel.model.axes))
-    if not theta[sensitivities].any():
-        # A gain has no effect before the sensitivity is known; any value will do to see whether a position shows it.
-        theta = theta.copy()
-        theta[sensitivities] = 1.0
     candidates = {
         name: channel.model.read(theta, np.array([up]), np.array([dt])).by_coefficient
         for name, up, dt in _candidates(channel, gravity)

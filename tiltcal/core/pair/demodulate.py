@@ -37,6 +37,7 @@ CHUNK = 1 << 16
 _MOST_BLOCKS = 512
 _WHITE = 4  # degrees of freedom that count for white noise, whatever the blocks say
 _SINGULAR = 1e-9
+_SMALLEST = 1e-300  # a sum of squares below this is none
 _PLACES = 1e5  # resolution of the angle, in parts of a turn
 _SURPRISE = 0.005  # coarse blocks count where chance makes their scatter, for what finer ones say, less often than this
 
@@ -185,9 +186,7 @@ def regress(blocks: Array, channels: Sequence[str]) -> Demodulation:
 
 def _inverse(products: Array) -> Array | None:
     """Of a matrix of products, its columns brought to one size; None where it has none."""
-    size = np.sqrt(np.diag(products))
-    if not np.all(size > 0.0):
-        return None
+    size = np.sqrt(np.maximum(np.diag(products), _SMALLEST))
     scaled = products / np.outer(size, size)
     if np.linalg.eigvalsh(scaled)[0] < _SINGULAR:
         return None

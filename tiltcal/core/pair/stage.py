@@ -40,10 +40,8 @@ _CLEAREST = 30.0  # times the median of the spectrum, in power, that the spin's 
 
 def follow(theta: Array, last: float | None = None) -> Array:
     """Return angles in turns that do not wrap, shape (n,), from degrees, wrapped or not, and the turns before them."""
-    if not len(theta):
-        return np.empty(0)
     angle = theta / 360.0
-    steps = np.diff(angle, prepend=float(angle[0] % 1.0) if last is None else last)
+    steps = np.diff(angle, prepend=angle[:1] % 1.0 if last is None else last)
     whole = np.rint(steps)
     # No stage is sampled so seldom that it turns back so far at once: rows are missing, and it went on meanwhile.
     whole -= steps - whole < -_JUMP
@@ -53,8 +51,6 @@ def follow(theta: Array, last: float | None = None) -> Array:
 
 def _turning(angle: Array) -> Mask:
     """Return the rows in which the stage turns on, neither standing nor turned back; angle in turns, shape (n,)."""
-    if not len(angle):
-        return np.zeros(0, dtype=bool)
     highest = np.maximum.accumulate(angle)
     part = np.unique(np.floor(highest * PARTS), return_inverse=True)[1]
     rows = np.bincount(part)

@@ -84,7 +84,7 @@ class RampFit:
         return int(self.coefficients.shape[1]) - 1
 
 
-def fit_ramp(record: RampRecord, *, reference: float, highest: int = 3) -> RampFit:
+def fit_ramp(record: RampRecord, *, reference: float, highest: int) -> RampFit:
     """Find the drift of a record from a reference temperature in °C, its order, at most the ``highest``, and its lag.
 
     An EstimateError, with the pace to take, where the legs do not separate lag and drift, or one lag does not describe

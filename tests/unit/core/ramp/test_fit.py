@@ -37,7 +37,7 @@ def read(element):
 
 
 def fitted(seconds, thermometer, readings):
-    return fit_ramp(ramp_record(seconds, thermometer, readings.T), reference=REFERENCE)
+    return fit_ramp(ramp_record(seconds, thermometer, readings.T), reference=REFERENCE, highest=3)
 
 
 def made(pace, *, lag=0.0, legs=4, noise=1.0, seed=1, wander=0.0, rows=2400):
@@ -70,14 +70,14 @@ def u_of_curve(fit):
 
 @pytest.mark.parametrize(("pace", "legs", "lag"), [(0.25, 2, 120.0), (2.0, 4, 120.0), (0.25, 2, -120.0)])
 def test_a_lag_of_120_s_is_found_within_1_percent(pace, legs, lag):
-    fit = fit_ramp(made(pace, lag=lag, legs=legs, noise=0.1), reference=REFERENCE)
+    fit = fit_ramp(made(pace, lag=lag, legs=legs, noise=0.1), reference=REFERENCE, highest=3)
     assert fit.lag == pytest.approx(lag, rel=0.01)
     assert min(fit.explained) > 0.99
 
 
 def test_what_a_fit_says_of_legs_orders_and_loops_is_numpys():
     record = made(1.0, noise=0.3, rows=320)
-    fit = fit_ramp(record, reference=REFERENCE)
+    fit = fit_ramp(record, reference=REFERENCE, highest=3)
     means, draws = fit.means, fit.means.readings
     dt, up = chamber(means.time, 1.0) - REFERENCE, np.isin(means.leg, (0, 2))
     left_out = {
@@ -107,17 +107,59 @@ def test_what_a_fit_says_of_legs_orders_and_loops_is_numpys():
     np.testing.assert_allclose(record.noise, np.sqrt(0.3**2 + between / 2.0), rtol=0.05)
 
 
-def test_hysteresis_without_time_is_no_lag_and_its_loop_is_in_the_uncertainty():
-    """A play of 2 °C makes at one pace the loop of a lag of 60 s."""
+def test_the_noise_is_the_mean_over_what_the_restricted_likelihood_allows():
+    """Patterson and Thompson (1971) with dense matrices: white noise, and noise that lasts 1/64 to 1.2 of the record."""
+    means = fit_ramp(made(1.0, noise=0.3, wander=0.05, rows=96), reference=REFERENCE, highest=3).means
+    x, span = means.powers(0.0, 2), means.time[-1] - means.time[0]
+    (n, p), apart = x.shape, np.abs(np.subtract.outer(means.time, means.time)) / span
+    for y in means.readings.T:
+        left = y - x @ np.linalg.lstsq(x, y, rcond=None)[0]
+        second = [left[2 * k :] - 2.0 * left[k:-k] + left[: -2 * k] for k in (1, 2, 4, 8)]
+        least, found = min(max(np.mean(d**2) / 6.0 for d in second), left @ left / (n - p)), []
+        for lasts in np.geomspace(1 / 64, 1.2, 8):
+            for k, ratio in enumerate([0.0, *np.geomspace(1e-2, 1e5, 22)]):
+                slow = ratio * np.exp(-apart / lasts)
+                inverse = np.linalg.inv(np.eye(n) + slow)
+                off = y - x @ np.linalg.solve(x.T @ inverse @ x, x.T @ inverse @ y)
+                square = off @ inverse @ off
+                variance = max(square / (n - p), least)
+                sizes = np.linalg.slogdet(x.T @ inverse @ x)[1] - np.linalg.slogdet(inverse)[1]
+                twice = (n - p) * np.log(variance) + square / variance + sizes
+                found.append((np.log(0.5 / 22 if k else 0.5) - twice / 2.0, variance * (np.eye(n) + 1.2 * slow)))
+        chances = np.exp([one[0] - max(found, key=lambda each: each[0])[0] for one in found])
+        expected = np.einsum("k,kij->ij", chances / chances.sum(), [one[1] for one in found])
+        np.testing.assert_allclose(means.noise_covariance(x, y), expected, rtol=1e-6, atol=1e-9)
+
+
+@pytest.mark.parametrize(("rows", "seed"), [(600, 0), (600, 2), (240, 3)])
+def test_legs_that_no_loop_explains_are_a_drift_of_the_zero(rows, seed):
+    """Half of a rectangle as wide as the legs are apart, where that is three times what white noise gives."""
+    fit = fit_ramp(made(1.0, noise=0.05, wander=0.02, rows=rows, seed=seed), reference=REFERENCE, highest=3)
+    x, at = np.vander(fit.means.temperature(0.0), 3), np.vander(fit.places, 3)
+    design = np.hstack([x, fit.means.rising[:, None] * x])
+    half = np.linalg.inv(design.T @ design)[3:, 3:]
+    white = np.outer(2.0 * np.sqrt(np.einsum("ki,ij,kj->k", at, half, at)), fit.means.white)
+    apart = np.max(np.where(np.abs(fit.loops) > 3.0 * white, np.abs(fit.loops), 0.0), axis=0)
+    assert apart.any() == (rows == 600)
+    added, width = np.zeros((2, fit.order + 1)), (fit.places[7] - fit.places[0]) * 8.0 / 7.0
+    added[:, 0], added[:, 1] = apart**2 / 3.0, (2.0 * apart / width) ** 2 / 3.0
+    np.testing.assert_allclose(fit.loop_covariance, np.diag(added.ravel()), rtol=1e-6)
+
+
+@pytest.mark.parametrize("wide", [lambda t: np.ones_like(t), lambda t: (t - LOW) * (LOW + SPAN - t) / 400.0])
+def test_hysteresis_without_time_is_no_lag_and_its_loop_is_in_the_uncertainty(wide):
+    """A play of 2 °C makes at one pace the loop of a lag of 60 s; Rayleigh's loop is as wide in the middle."""
     seconds = np.linspace(0.0, 4 * 2400.0, 2400)
     temperature = chamber(seconds, 1.0)
-    element, place = temperature.copy(), temperature[0]
-    for k, value in enumerate(temperature):
-        element[k] = place = min(max(place, value - 1.0), value + 1.0)
+    element = temperature - wide(temperature) * np.where(seconds % 4800.0 < 2400.0, 1.0, -1.0)
+    if wide(LOW) > 0.0:
+        place = temperature[0]
+        for k, value in enumerate(temperature):
+            element[k] = place = min(max(place, value - 1.0), value + 1.0)
     fit = fitted(seconds, temperature, read(element) + 0.5 * np.random.default_rng(4).normal(size=(2400, 2)))
     assert not fit.uses_lag
     # The intervals hold the readings on the ways up and down, and are not much wider.
-    way_up_less_down = read(PLACES - 1.0) - read(PLACES + 1.0)
+    way_up_less_down = read(PLACES - wide(PLACES)) - read(PLACES + wide(PLACES))
     error, reach, half = curve_error(fit.coefficients), 1.96 * u_of_curve(fit), way_up_less_down.T / 2.0
     assert np.max(np.abs(error)) < 0.15
     assert np.max(reach) < 1.3 * np.max(np.abs(half)) + 0.15
@@ -131,7 +173,7 @@ def test_the_uncertainty_covers_the_curve(lag, wander):
     for seed in range(5):
         # 160 rows take half the time of 2400; each has the noise of a mean of 15.
         record = made(1.0, lag=lag, wander=wander * sqrt(15.0), noise=1.0 / sqrt(15.0), seed=seed, rows=160)
-        fit = fit_ramp(record, reference=REFERENCE)
+        fit = fit_ramp(record, reference=REFERENCE, highest=3)
         assert fit.uses_lag is (lag > 0.0)
         inside.append(np.abs(curve_error(fit.coefficients)) < 1.96 * u_of_curve(fit))
     # Ten curves, of ten places that depend on each other: 95 % within what so few curves can show.
@@ -228,4 +270,4 @@ def few_rows():
 )
 def test_a_record_that_does_not_separate_lag_and_drift_is_refused(record, message):
     with pytest.raises(EstimateError, match=message):
-        fit_ramp(record, reference=REFERENCE)
+        fit_ramp(record, reference=REFERENCE, highest=3)
