@@ -108,7 +108,7 @@ def test_what_a_fit_says_of_legs_orders_and_loops_is_numpys():
 
 
 def test_the_noise_is_the_mean_over_what_the_restricted_likelihood_allows():
-    """Patterson and Thompson (1971) with dense matrices: white noise, and noise that lasts 1/64 to 1.2 of the record."""
+    """Patterson and Thompson (1971), dense: white noise, and some that lasts 1/64 to 1.2 of the record."""
     means = fit_ramp(made(1.0, noise=0.3, wander=0.05, rows=96), reference=REFERENCE, highest=3).means
     x, span = means.powers(0.0, 2), means.time[-1] - means.time[0]
     (n, p), apart = x.shape, np.abs(np.subtract.outer(means.time, means.time)) / span
