@@ -7,9 +7,8 @@ from tiltcal.dialect import Dialect, Pattern, flattened, kind_of, labels_of, pri
 from tiltcal.logs.formats.csv_text import charset_of
 
 
-@pytest.mark.parametrize(
-    ("line", "clock", "rest"),
-    [
+def test_the_clock_of_a_monitor() -> None:
+    for line, clock, rest in (
         ("12:03:11.123 -> 1,2", "12:03:11.123", "1,2"),
         ("[12:03:11,5] 1,2", "12:03:11,5", "1,2"),
         ("[2026-03-14 09:30:00.5] -> 1", "2026-03-14 09:30:00.5", "1"),
@@ -17,10 +16,8 @@ from tiltcal.logs.formats.csv_text import charset_of
         ("9:30:01 PM -> x", "9:30:01 PM", "x"),
         ("12:03:11.123,1,2", "", "12:03:11.123,1,2"),
         ("1,2", "", "1,2"),
-    ],
-)
-def test_the_clock_of_a_monitor(line: str, clock: str, rest: str) -> None:
-    assert without_clock(line) == (clock, rest)
+    ):
+        assert without_clock(line) == (clock, rest)
 
 
 def test_what_a_cell_holds() -> None:

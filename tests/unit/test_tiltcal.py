@@ -30,6 +30,8 @@ NAMES = [
 
 def test_names_are_these() -> None:
     assert dir(tiltcal) == sorted(tiltcal.__all__) == NAMES
+    with pytest.raises(AttributeError, match="no attribute 'calibrate_all'"):
+        tiltcal.calibrate_all  # noqa: B018
 
 
 def test_every_name_is_documented_and_its_type_hints_can_be_resolved() -> None:
@@ -41,11 +43,6 @@ def test_every_name_is_documented_and_its_type_hints_can_be_resolved() -> None:
         for function in filter(inspect.isfunction, functions):
             get_type_hints(function)
         assert pickle.loads(pickle.dumps(named)) is named
-
-
-def test_another_name_is_no_attribute() -> None:
-    with pytest.raises(AttributeError, match="no attribute 'calibrate_all'"):
-        tiltcal.calibrate_all  # noqa: B018
 
 
 @pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="threads are counted in /proc")

@@ -74,20 +74,12 @@ def test_the_noise_of_positions_is_that_before_rounding() -> None:
     assert noise(2.0, 1.06, 1.06, 9.0) == pytest.approx(np.sqrt(0.9 * (2 * 1.06**2 + 81.0) / 3.0 - 4.0 / 12.0))
 
 
-@pytest.mark.parametrize(
-    ("change", "uncertainty", "shown", "still"),
-    [
-        (0.9, 0.0, False, True),
-        (1.1, 0.0, False, False),
-        (1.19, 0.3, False, True),
-        (1.21, 0.3, False, False),
-        (0.39, 0.3, True, True),
-        (0.41, 0.3, True, False),
-    ],
-)
-def test_still(change: float, uncertainty: float, shown: bool, still: bool) -> None:
-    """By four standard uncertainties; to be shown within the limit by two."""
-    assert is_still(-change, uncertainty, 1.0, sigmas=4.0, shown=shown) is still
+def test_still() -> None:
+    """Up to the limit, by four standard uncertainties, or shown to be within the limit by two."""
+    for limit, u, shown in ((1.0, 0.0, False), (1.2, 0.3, False), (0.4, 0.3, True)):
+        for change in (limit, -limit):
+            assert is_still(0.99 * change, u, 1.0, sigmas=4.0, shown=shown)
+            assert not is_still(1.01 * change, u, 1.0, sigmas=4.0, shown=shown)
 
 
 def test_a_run_of_a_noisy_reading_is_stuck_and_of_a_coarse_one_not() -> None:

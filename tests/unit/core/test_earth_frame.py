@@ -16,7 +16,6 @@ from tiltcal.core.compensation import Compensation
 from tiltcal.core.earth_frame import EarthFrameCompensation, FieldLength
 from tiltcal.core.flags import FAIL, GRAVITY_LENGTH, MISSING, NO_DIRECTION, NOT_A_NUMBER, PASS, SUSPECT
 from tiltcal.core.model import Array, Coefficients, Mounting
-from tiltcal.errors import EstimateError
 from tiltcal.logs.kernel import RoleValues, TiltKernel
 
 DIP, DECLINATION, FIELD = radians(66.0), 10.0, 50.0
@@ -152,8 +151,3 @@ def test_the_usual_length_of_the_field_does_not_depend_on_where_blocks_end() -> 
     assert ((flagged["reason"] == NO_DIRECTION) == (flags == SUSPECT)).all()
     usual = np.nanmedian(lengths[:1001])  # a thousand of them are numbers
     assert (flags == SUSPECT)[1001:].tolist() == (np.abs(lengths[1001:] - usual) > 0.05 * usual).tolist()
-
-
-def test_one_channel_has_no_heading() -> None:
-    with pytest.raises(EstimateError, match="at least x and y"):
-        EarthFrameCompensation(Compensation(coefficients(1)), magnetometer=True, velocity=False)

@@ -37,22 +37,23 @@ class RampRecord:
     readings: Array  # (n, channels)
     noise: Array  # (channels,): standard deviation of a single reading about its neighbours, unit
     rows: int  # that count
-    jumps: str = ""  # which temperatures were left out
-    step: float = 0.0  # of the thermometer, °C; 0 where it is continuous
+    jumps: str  # which temperatures were left out
+    step: float  # of the thermometer, °C; 0 where it is continuous
 
 
 def ramp_record(time: Array, temperature: Array, readings: Sequence[Array], first: int = 0) -> RampRecord:
     """Return the means of the rows that have all values and whose temperature does not jump.
 
     Times in s, temperatures in °C and the readings of each channel are of shape (n,), NaN where one is missing;
-    ``first`` is the number of the first row. An EstimateError where too few rows remain.
+    ``first`` is the number of the first row. An EstimateError where rows are too few.
     """
-    counts, jumps = _without_jumps(time, temperature, first)
     table = np.stack([time, temperature, *readings], axis=1)
-    table = table[counts & np.isfinite(table).all(axis=1)]
-    rows = len(table)
-    if rows < _FEWEST_ROWS:
+    there = np.isfinite(table).all(axis=1)
+    if (rows := int(there.sum())) < _FEWEST_ROWS:
         raise EstimateError(f"the record has {rows} rows with time, temperature and readings: too few")
+    counts, jumps = _without_jumps(time, temperature, first)
+    table = table[counts & there]
+    rows = len(table)
     bursts = np.flatnonzero(np.diff(table[:, 0], prepend=-np.inf) >= _BURST * np.ptp(table[:, 0]) / rows)
     means = averaged(table, bursts[:: max(len(bursts) // MOST, 1)])
     noise = np.sqrt(np.mean(np.diff(table[:, 2:], axis=0) ** 2, axis=0) / 2.0)
@@ -69,8 +70,6 @@ def _without_jumps(time: Array, temperature: Array, first: int) -> tuple[Mask, s
     """Return the rows whose temperature does not jump away from those before and come back, and the others in words."""
     counts = np.ones(len(time), dtype=bool)
     rows = np.flatnonzero(np.isfinite(time) & np.isfinite(temperature))
-    if len(rows) < _FEWEST_ROWS:
-        return counts, ""
     values, intervals = temperature[rows], np.diff(time[rows])
     steps = np.abs(np.diff(values))
     limit = max(TEMPERATURE_JUMP, _STEPS * float(np.median(steps)))

@@ -8,7 +8,7 @@ from numpy.polynomial.polynomial import polyfit, polyval
 from scipy.integrate import solve_ivp
 
 from tiltcal.core.ramp.fit import fit_ramp
-from tiltcal.core.ramp.record import RampRecord, ramp_record
+from tiltcal.core.ramp.record import ramp_record
 from tiltcal.core.thermal_lag import ThermalLag
 from tiltcal.errors import EstimateError
 
@@ -66,13 +66,6 @@ def u_of_curve(fit):
     powers = np.vander(PLACES - REFERENCE, p, increasing=True)
     blocks = [total[start : start + p, start : start + p] for start in (0, p)]
     return np.sqrt([np.einsum("ij,jk,ik->i", powers, block, powers) for block in blocks])
-
-
-@pytest.mark.parametrize(("pace", "legs", "lag"), [(0.25, 2, 120.0), (2.0, 4, 120.0), (0.25, 2, -120.0)])
-def test_a_lag_of_120_s_is_found_within_1_percent(pace, legs, lag):
-    fit = fit_ramp(made(pace, lag=lag, legs=legs, noise=0.1), reference=REFERENCE, highest=3)
-    assert fit.lag == pytest.approx(lag, rel=0.01)
-    assert min(fit.explained) > 0.99
 
 
 def test_what_a_fit_says_of_legs_orders_and_loops_is_numpys():
@@ -242,11 +235,6 @@ def test_a_record_that_starts_on_the_way_is_refused():
         fitted(seconds[late], chamber(seconds[late], 1.0), readings[late])
 
 
-def cut(record, share):
-    rows = slice(0, int(len(record.time) * share))
-    return RampRecord(record.time[rows], record.temperature[rows], record.readings[rows], record.noise, record.rows)
-
-
 def few_rows():
     """12 °C down and up again within six of 4,800 rows, in no mean of which a leg begins."""
     seconds = np.arange(0.0, 4800.0)
@@ -259,14 +247,12 @@ def few_rows():
 @pytest.mark.parametrize(
     ("record", "message"),
     [
-        (made(2.0, legs=1), r"share 0 °C of 40 °C.*let the temperature come all the way back, at 2 °C/min or slower"),
-        (cut(made(2.0, legs=2), 0.65), "the ways up and down share 12 °C of 40 °C"),
         (few_rows(), "few rows: each leg must span the full temperature range"),
         # Legs of 240 s against a lag of 120 s; eight lags are 40 °C at 2.5 °C/min.
         (made(10.0, lag=120.0, noise=0.1), r"a leg lasts 239 s.*change the temperature at 2\.5 °C/min or slower"),
         (made(0.25, legs=2, wander=3.0, seed=2), "does not separate it from drift"),
     ],
-    ids=["one way", "ways share too little", "few rows", "too fast", "wanders"],
+    ids=["few rows", "too fast", "wanders"],
 )
 def test_a_record_that_does_not_separate_lag_and_drift_is_refused(record, message):
     with pytest.raises(EstimateError, match=message):

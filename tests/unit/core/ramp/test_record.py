@@ -32,6 +32,7 @@ def test_a_gap_and_a_fast_ramp_are_no_jumps():
     temperature = CHAMBER.copy()
     temperature[500:900] = np.nan
     assert ramp_record(SECONDS, temperature, [temperature]).rows == 2000
+    assert ramp_record(SECONDS[:32], CHAMBER[:32], [CHAMBER[:32]]).rows == 32
     fast = 1200.0 * np.abs((np.arange(120.0) / 60.0 + 1.0) % 2.0 - 1.0)
     assert ramp_record(60.0 * np.arange(120.0), fast, [fast]).rows == 120
 
