@@ -141,8 +141,8 @@ class NoiseScale:
 
     def of(self, channels: Sequence[str]) -> NoiseScale:
         """Return the scale of some channels, as far as it is stated."""
-        per_g = {channel: abs(self.per_g.get(channel, self.per_g.get("*", 0.0))) for channel in channels}
-        return NoiseScale(self.unit or "unit", {channel: size for channel, size in per_g.items() if size}, self.source)
+        per_g = {channel: abs(self.per_g[of]) for channel in channels for of in ("*", channel) if of in self.per_g}
+        return NoiseScale(self.unit or "unit", per_g, self.source)
 
     def degrees(self, channel: str, value: float) -> float | None:
         """Return a small difference of readings as degrees of an axis near level; None without a scale."""
@@ -203,8 +203,9 @@ def _variances(sums: Array, counts: Array, size: int, widths: Sequence[int], sam
         total, there = (np.concatenate([[0.0], np.cumsum(one[rows])]) for one in (sums, counts))
         for place, width in enumerate(widths):
             last = min(_CHUNK, len(total) - 2 * width) + 2 * width
-            present = there[width:last] - there[: max(last - width, 0)]
-            mean = (total[width:last] - total[: max(last - width, 0)]) / np.maximum(present, 1.0)
+            ends, starts = slice(width, last), slice(max(last - width, 0))
+            present = there[ends] - there[starts]
+            mean = (total[ends] - total[starts]) / np.maximum(present, 1.0)
             usable = present >= _PRESENT * width * size
             change = (mean[width:] - mean[:-width])[usable[width:] & usable[:-width]]
             squares[place] += change @ change
@@ -308,15 +309,16 @@ def sample_size_by_range(noise: ChannelNoise, target: float | None) -> int | Non
     None where those of the longest averages do not. Between the sizes of the source's Table I it is interpolated.
     """
     sizes = [(average.samples, average.range) for average in noise.averages]
+    if target is None:
+        enough = (n for (n, width), (_, narrower) in pairwise(sizes) if narrower > (1.0 - _GAIN) * width)
+        return next(enough, sizes[-1][0])
+    if sizes[0][1] <= target:
+        return 1
     for (n, width), (more, narrower) in pairwise(sizes):
-        if target is None and narrower > (1.0 - _GAIN) * width:
-            return n
-        if target is not None and width <= target:
-            return n
-        if target is not None and narrower <= target:
+        if narrower <= target:
             share = log(width / target) / log(width / narrower) if narrower else 1.0
             return ceil(float(n * (more / n) ** share))
-    return sizes[-1][0] if target is None or sizes[-1][1] <= target else None
+    return None
 
 
 def _useful(noise: ChannelNoise, samples: NDArray[np.int64], u: Array) -> tuple[int, Limit]:
