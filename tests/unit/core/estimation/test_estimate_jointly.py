@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import scipy
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 from support.simulated_bench import LEVEL, POSITIONS, XYZ
 
 from tiltcal.core.estimation.equations import Equations
@@ -62,20 +61,19 @@ def test_a_position_that_is_held_on_keeps_its_attitude() -> None:
 
 
 def test_the_residuals_of_a_reversal_say_how_good_its_jig_was() -> None:
-    """Four level positions at four headings tell the lean of a table from the offset, in 95 % of the intervals."""
-    rng, offset, off, factors = np.random.default_rng(34), np.array([1024.0, 1020.0]), [], []
-    own = {f"sensitivity.{c}.{a}": Prior(800.0, 8.0) if a == c else Prior(0.0) for c in "xy" for a in "xy"}
-    for _ in range(80):
-        lean, observations = Rotation.from_rotvec([*np.radians(rng.normal(0.0, 0.3, 2)), 0.0]), []
-        for heading in (0.0, 90.0, 180.0, 270.0):
-            missed = Rotation.from_rotvec([*np.radians(rng.normal(0.0, 0.05, 2)), 0.0])
-            spin = Rotation.from_euler("z", -heading, degrees=True)
-            mean = offset + 800.0 * (spin * lean * missed).apply([0.0, 0.0, 1.0])[:2] + rng.normal(0.0, 0.1, 2)
-            observations.append(Observation(f"{heading:g}", LEVEL, mean, np.full(2, 0.1), heading=heading))
-        found = estimate(observations, Design(("x", "y"), ("x", "y"), priors=own))
-        off.append(np.abs(found.coefficients.offset - offset) / found.uncertain.u[[0, 3]])
-        factors.append(found.uncertain.factors[[0, 3]])
-        assert all(share >= 0.0 for column in found.uncertain.shares.values() for share in column[[0, 3]])
-    assert np.mean(np.array(off) <= factors) == pytest.approx(0.95, abs=0.03)
-    # Eight readings, of which the lean and the offsets use up four.
-    assert np.median(factors) == pytest.approx(scipy.stats.t.ppf(0.975, 4), rel=0.02)
+    """Four headings tell the lean of a table from the offsets: the textbook's plane through eight readings."""
+    rng, headings = np.random.default_rng(34), np.radians([0.0, 90.0, 180.0, 270.0])
+    turned = [np.hstack([np.eye(2), [[np.cos(h), np.sin(h)], [-np.sin(h), np.cos(h)]]]) for h in headings]
+    truth = np.array([1024.0, 1020.0, 3.0, -5.0])
+    means = [columns @ truth + rng.normal(0.0, 0.7, 2) for columns in turned]
+    priors = {f"sensitivity.{c}.{a}": Prior(800.0 * (a == c)) for c in "xy" for a in "xy"}
+    observations = [
+        Observation(f"{h:g}", LEVEL, mean, np.full(2, 0.1), heading=float(np.degrees(h)))
+        for h, mean in zip(headings, means, strict=True)
+    ]
+    found = estimate(observations, Design(("x", "y"), ("x", "y"), priors=priors))
+    plane, left, _, _ = np.linalg.lstsq(np.vstack(turned), np.concatenate(means))
+    assert found.coefficients.offset == pytest.approx(plane[:2], abs=1e-3)
+    # Eight readings, of which the lean and the offsets use up four; each offset is the mean of four.
+    assert found.uncertain.u[[0, 3]] == pytest.approx(np.sqrt(left[0] / 4.0 / 4.0), rel=1e-3)
+    assert found.uncertain.factors[[0, 3]] == pytest.approx(scipy.stats.t.ppf(0.975, 4), rel=1e-3)

@@ -160,14 +160,39 @@ def test_hysteresis_without_time_is_no_lag_and_its_loop_is_in_the_uncertainty(wi
     assert fit.loops.mean(axis=0) == pytest.approx(way_up_less_down.mean(axis=0), abs=0.15)
 
 
-@pytest.mark.parametrize(("lag", "wander"), [(0.0, 0.0), (120.0, 0.0), (0.0, 0.05)], ids=["none", "lag", "wander"])
-def test_the_uncertainty_covers_the_curve(lag, wander):
+@pytest.mark.parametrize("lag", [0.0, 120.0])
+def test_curve_and_lag_are_the_weighted_least_squares_of_numpy(lag):
+    """Both channels share the lag, by which the model has a slope; the noise is that of each channel."""
+    fit = fit_ramp(made(1.0, lag=lag, noise=0.3, rows=320), reference=REFERENCE, highest=3)
+    means, p = fit.means, fit.order + 1
+    assert (fit.uses_lag, fit.lag) == (lag > 0.0, pytest.approx(lag, rel=0.02))
+    x, slopes = means.powers(fit.lag, fit.order), np.zeros_like(means.readings)
+    if lag:
+        ahead, behind = (means.powers(fit.lag + h, fit.order) for h in (1.0, -1.0))
+        slopes = (ahead - behind) / 2.0 @ fit.coefficients.T
+    columns, weights = np.zeros((2, len(x), 2 * p + 1)), []
+    for c, (rows, slope, y) in enumerate(zip(columns, slopes.T, means.readings.T, strict=True)):
+        rows[:, c * p : c * p + p], rows[:, -1] = x, slope
+        own = np.column_stack([x, slope]) if lag else x
+        weights.append(np.linalg.inv(means.noise_covariance(own, y)))
+    used = slice(None) if lag else slice(-1)
+    covariance = np.linalg.inv(sum(rows.T @ w @ rows for rows, w in zip(columns[..., used], weights, strict=True)))
+    left = means.readings - x @ fit.coefficients.T
+    step = covariance @ sum(r.T @ w @ y for r, w, y in zip(columns[..., used], weights, left.T, strict=True))
+    u = np.sqrt(np.diag(covariance))
+    assert np.abs(step / u).max() < 0.05
+    np.testing.assert_allclose(np.sqrt(np.diag(fit.covariance)), u[: 2 * p], rtol=0.02)
+    if lag:
+        assert fit.u_lag == pytest.approx(u[-1], rel=0.02)
+
+
+def test_the_uncertainty_covers_the_curve():
+    """Of a zero that wanders; 160 rows take half the time of 2400, and each has the noise of a mean of 15."""
     inside = []
     for seed in range(5):
-        # 160 rows take half the time of 2400; each has the noise of a mean of 15.
-        record = made(1.0, lag=lag, wander=wander * sqrt(15.0), noise=1.0 / sqrt(15.0), seed=seed, rows=160)
+        record = made(1.0, wander=0.05 * sqrt(15.0), noise=1.0 / sqrt(15.0), seed=seed, rows=160)
         fit = fit_ramp(record, reference=REFERENCE, highest=3)
-        assert fit.uses_lag is (lag > 0.0)
+        assert not fit.uses_lag
         inside.append(np.abs(curve_error(fit.coefficients)) < 1.96 * u_of_curve(fit))
     # Ten curves, of ten places that depend on each other: 95 % within what so few curves can show.
     assert np.mean(inside) > 0.8
