@@ -81,13 +81,15 @@ def test_kinds_of_noise() -> None:
         assert terms.first == 0
 
 
-def test_random_walk() -> None:
-    """A single record tells it to a tenth at best, and may look like a drift; many tell the factor 1/3 from 1/2."""
-    records = [noise_of(white(200_000, 0.6, seed) + coloured.walk(rng(seed + 99), 200_000, 2e-3)) for seed in range(16)]
-    walks = [one.terms.value["K"] for one in records if set(one.terms.value) == {"N", "K"}]
-    assert len(walks) >= 13
-    assert np.mean(walks) == pytest.approx(2e-3 / sqrt(DT), rel=0.07)
-    assert [sample_size(one, DT, None)[1] for one in records].count("walk") >= 13
+@pytest.mark.parametrize("terms", ["N", "NB", "NK", "NR", "NBR", "NBK"])
+def test_kinds_of_noise_are_those_that_make_an_allan_variance(terms: str) -> None:
+    """IEEE Std 952-1997, annex C, as it stands there; what a record of 400,000 samples can show of each."""
+    factor, sizes = 2 ** np.arange(17), {"N": 0.06, "B": 0.05, "K": 0.02, "R": 1e-3}
+    tau = factor * DT
+    parts = {"N": 1.0 / tau, "B": 2.0 * log(2.0) / pi + 0.0 * tau, "K": tau / 3.0, "R": tau**2 / 2.0}
+    found = kinds_of_noise(tau, sum(sizes[name] ** 2 * parts[name] for name in terms), factor, 400_000)
+    assert found.value == pytest.approx({name: sizes[name] for name in terms}, rel=1e-6)
+    assert (found.first, found.follows) == (0, True)
 
 
 def test_what_is_not_there_is_seldom_found() -> None:
