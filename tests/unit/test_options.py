@@ -1,7 +1,6 @@
 """Options that are declared once."""
 
 import inspect
-from typing import get_overloads, get_type_hints
 
 import pytest
 
@@ -30,12 +29,6 @@ def test_signature_and_documentation_are_those_of_the_declaration(function: obje
         assert parameters[name].default == option.default
         assert f"\n{name} : " in text
         assert option.help.split()[-1] in text
-
-
-def test_hints_of_overloads_can_be_resolved() -> None:
-    for kind in (tiltcal.Calibration, tiltcal.CalibrationLibrary, tiltcal.PairCalibration):
-        of_columns, of_frame = map(get_type_hints, get_overloads(kind.apply))
-        assert of_columns["return"] != of_frame["return"] == of_frame["frame"]
 
 
 def test_an_unknown_option_and_a_wrong_value_are_refused() -> None:

@@ -10,7 +10,7 @@ import sys
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import get_type_hints
+from typing import get_overloads, get_type_hints
 
 import pytest
 from support import FIXTURES
@@ -43,6 +43,9 @@ def test_every_name_is_documented_and_its_type_hints_can_be_resolved() -> None:
         for function in filter(inspect.isfunction, functions):
             get_type_hints(function)
         assert pickle.loads(pickle.dumps(named)) is named
+    for kind in (tiltcal.Calibration, tiltcal.CalibrationLibrary, tiltcal.PairCalibration):
+        of_columns, of_frame = map(get_type_hints, get_overloads(kind.apply))
+        assert of_columns["return"] != of_frame["return"] == of_frame["frame"]
 
 
 @pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="threads are counted in /proc")

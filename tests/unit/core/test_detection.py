@@ -4,16 +4,7 @@ import numpy as np
 import pytest
 import scipy
 
-from tiltcal.core.detection import (
-    identical_by_chance,
-    is_still,
-    moved_rows,
-    noise_of_positions,
-    outliers,
-    stillest,
-    stuck_spans,
-    window_scatter,
-)
+from tiltcal.core import detection
 from tiltcal.core.samples import SampleSummary
 
 REST = np.random.default_rng(1).normal(0.0, 1.0, (2000, 2))
@@ -24,8 +15,8 @@ def test_identical_samples_and_their_probability() -> None:
     step, noise = 1.0, 0.5
     share = scipy.stats.norm.cdf(0.5 * step / noise) - scipy.stats.norm.cdf(-0.5 * step / noise)
     most = int(np.log(1e-6) / np.log(share))
-    assert identical_by_chance(most, noise, step)
-    assert not identical_by_chance(most + 1, noise, step)
+    assert detection.identical_by_chance(most, noise, step)
+    assert not detection.identical_by_chance(most + 1, noise, step)
 
 
 def test_a_step_and_a_knock_stand_out() -> None:
@@ -33,17 +24,17 @@ def test_a_step_and_a_knock_stand_out() -> None:
     blocks[20:, :, 0] += 5.0
     blocks[31, :, 1] = blocks[31, :, 1].mean() + 8.0 * (blocks[31, :, 1] - blocks[31, :, 1].mean())
     columns = list(blocks.reshape(2000, 2).T)
-    assert moved_rows(columns, (0.0, 0.0)) == [(19 * 16, 21 * 16), (31 * 16, 32 * 16)]
-    assert moved_rows([column[: 8 * 16 - 1] for column in columns], (0.0, 0.0)) == []
+    assert detection.moved_rows(columns, (0.0, 0.0)) == [(19 * 16, 21 * 16), (31 * 16, 32 * 16)]
+    assert detection.moved_rows([column[: 8 * 16 - 1] for column in columns], (0.0, 0.0)) == []
     # Of a reading in steps nothing stands out below what rounding gives, 1/√12.
     quiet = np.zeros(64 * 16)
     for height, rows in ((1.1, []), (1.25, [(8 * 16 - 16, 8 * 16 + 16)])):
         quiet[8 * 16 :] = height * 8.0 / np.sqrt(12.0) / 1.2
-        assert moved_rows([quiet], (1.0,)) == rows
+        assert detection.moved_rows([quiet], (1.0,)) == rows
     long = np.tile(REST[:, 0], 600)
-    long[999_999] = 1e6
+    long[999_999] = 1e6  # the mean of its block differs from both neighbours'
     long[777_760:777_791] = np.nan  # one sample of a block shows no scatter
-    assert moved_rows([long], (0.0,)) == [(31_248 * 32, 31_251 * 32)]  # and the mean differs from both neighbours'
+    assert detection.moved_rows([long], (0.0,)) == [(31_248 * 32, 31_251 * 32)]
 
 
 def test_samples_that_stand_out() -> None:
@@ -54,19 +45,19 @@ def test_samples_that_stand_out() -> None:
     nearest = np.sort(np.abs(samples - middle))[:180]
     limit = 6.0 * max(spread, 1.267 * np.sqrt(np.mean(nearest**2)))
     samples[[7, 11]] = middle + 1.001 * limit, middle - 0.999 * limit
-    assert outliers(samples).tolist() == [7]
-    assert outliers(samples, 0.51 * limit).tolist() == []
-    assert outliers([0.0] * 7 + [9.0]).tolist() == [7]
-    assert outliers([0.0] * 6 + [9.0]).tolist() == []
+    assert detection.outliers(samples).tolist() == [7]
+    assert detection.outliers(samples, 0.51 * limit).tolist() == []
+    assert detection.outliers([0.0] * 7 + [9.0]).tolist() == [7]
+    assert detection.outliers([0.0] * 6 + [9.0]).tolist() == []
     steps = np.repeat([0.0, 1.0, 3.0], [60, 30, 10])  # a third of the nearest 90 are 1: 6 * 1.267 * √(1/3) = 4.39
     for far, found in ((4.3, []), (4.5, [99])):
         steps[99] = far
-        assert outliers(steps, 1.0).tolist() == found
+        assert detection.outliers(steps, 1.0).tolist() == found
 
 
 def test_the_noise_of_positions_is_that_before_rounding() -> None:
     def noise(step: float, *stds: float) -> float:
-        return noise_of_positions([SampleSummary(0.0, std, 10, 0.1) for std in stds], step)
+        return detection.noise_of_positions([SampleSummary(0.0, std, 10, 0.1) for std in stds], step)
 
     assert noise(0.0, 1.0, 2.0) == pytest.approx(np.sqrt(0.9 * 2.5))
     # A reading that flickers between two values scatters by half a step at most, which shows no noise.
@@ -78,32 +69,33 @@ def test_still() -> None:
     """Up to the limit, by four standard uncertainties, or shown to be within the limit by two."""
     for limit, u, shown in ((1.0, 0.0, False), (1.2, 0.3, False), (0.4, 0.3, True)):
         for change in (limit, -limit):
-            assert is_still(0.99 * change, u, 1.0, sigmas=4.0, shown=shown)
-            assert not is_still(1.01 * change, u, 1.0, sigmas=4.0, shown=shown)
+            assert detection.is_still(0.99 * change, u, 1.0, sigmas=4.0, shown=shown)
+            assert not detection.is_still(1.01 * change, u, 1.0, sigmas=4.0, shown=shown)
 
 
 def test_a_run_of_a_noisy_reading_is_stuck_and_of_a_coarse_one_not() -> None:
     samples = np.rint(REST)  # noise of a whole step
     samples[100:140] = samples[100]
-    assert stuck_spans(samples.T, 40) == stuck_spans(samples.T, 25) == [(100, 140)]
-    assert stuck_spans(samples.T, 41) == []
-    assert not stuck_spans(np.rint(0.3 + 0.08 * REST).T, 25)
-    assert stuck_spans([np.full(30, 2.0)], 25) == [(0, 30)]  # nothing else shows the noise
+    assert detection.stuck_spans(samples.T, 40) == detection.stuck_spans(samples.T, 25) == [(100, 140)]
+    assert detection.stuck_spans(samples.T, 41) == []
+    assert not detection.stuck_spans(np.rint(0.3 + 0.08 * REST).T, 25)
+    assert detection.stuck_spans([np.full(30, 2.0)], 25) == [(0, 30)]  # nothing else shows the noise
 
 
 def test_small_noise_far_down_a_long_log_is_not_lost() -> None:
     rng = np.random.default_rng(4)
     log = np.repeat([[1e4, -1e4, 0.0]], 200_000, axis=0) + 1e-3 * rng.normal(size=(200_000, 3))
-    scatter = window_scatter(log.T, np.zeros(200_000, dtype=bool), 100)
+    scatter = detection.window_scatter(log.T, np.zeros(200_000, dtype=bool), 100)
     assert scatter[-1] == pytest.approx(np.sqrt(np.sum(np.var(log[-100:], axis=0, ddof=1))), rel=1e-6)
     assert len(scatter) == 199_901
     lost = np.zeros(20, dtype=bool)
     lost[[3, 4, 19]] = True
-    scatter = window_scatter([np.append(REST[:19, 0], np.nan), REST[:20, 1]], lost, 5)
+    scatter = detection.window_scatter([np.append(REST[:19, 0], np.nan), REST[:20, 1]], lost, 5)
     for start, found in enumerate(scatter):
         part = REST[start : start + 5]
         expected = np.inf if start < 5 or start > 14 else np.sqrt(np.var(part, axis=0, ddof=1).sum())
         assert found == pytest.approx(expected)
-    assert stillest(scatter) == pytest.approx(np.quantile(scatter[5:15], 0.01))
+    assert detection.stillest(scatter) == pytest.approx(np.quantile(scatter[5:15], 0.01))
     zero = np.append(scatter, np.zeros(99))
-    assert (stillest(zero), stillest(zero, varying=True), stillest(scatter[:5])) == (0.0, stillest(scatter), None)
+    assert (detection.stillest(zero), detection.stillest(scatter[:5])) == (0.0, None)
+    assert detection.stillest(zero, varying=True) == detection.stillest(scatter)

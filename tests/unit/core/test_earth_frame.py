@@ -139,15 +139,19 @@ def test_heading_and_flags_of_a_row(given: dict[str, Any], expected: tuple[float
 
 
 def test_the_usual_length_of_the_field_does_not_depend_on_where_blocks_end() -> None:
+    """A mark raises the flag, adds its reason, and leaves missing rows as they are."""
     lengths = np.random.default_rng(5).normal(50.0, 1.5, 3000)
     lengths[[3, 1500]] = nan
     whole, parts = FieldLength(), FieldLength()
     field = np.stack([lengths, 0.0 * lengths, 0.0 * lengths], axis=1)
-    table = {"flag": np.ones(3000, np.uint8), "reason": np.zeros(3000, np.uint16)}
+    before, reason = np.tile([PASS, FAIL, MISSING], 1000), np.tile([0, GRAVITY_LENGTH, NOT_A_NUMBER], 1000)
+    table = {"a_flag": before.astype(np.uint8), "a_reason": reason.astype(np.uint16), "flagpole": np.zeros(3000)}
     blocks = [slice(start, start + 7) for start in range(0, 3000, 7)]
     found = [parts.flagged({name: column[rows] for name, column in table.items()}, field[rows]) for rows in blocks]
-    flags, flagged = np.concatenate([some["flag"] for some in found]), whole.flagged(table, field)
-    assert (flags == flagged["flag"]).all()
-    assert ((flagged["reason"] == NO_DIRECTION) == (flags == SUSPECT)).all()
+    flagged = whole.flagged(table, field)
+    for name, column in flagged.items():
+        assert (np.concatenate([some[name] for some in found]) == column).all()
     usual = np.nanmedian(lengths[:1001])  # a thousand of them are numbers
-    assert (flags == SUSPECT)[1001:].tolist() == (np.abs(lengths[1001:] - usual) > 0.05 * usual).tolist()
+    marked = (np.abs(lengths - usual) > 0.05 * usual) & (before != MISSING)
+    assert flagged["a_flag"][1001:].tolist() == np.where(marked, np.maximum(before, SUSPECT), before)[1001:].tolist()
+    assert flagged["a_reason"][1001:].tolist() == np.where(marked, reason + NO_DIRECTION, reason)[1001:].tolist()

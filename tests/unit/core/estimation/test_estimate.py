@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
 
 from tiltcal.core.estimation.estimate import estimate
 from tiltcal.core.estimation.positions import Design, Observation
@@ -93,7 +94,7 @@ def test_the_joint_minimum_is_scipys() -> None:
     found = estimate(observations, wanted)
     # The peer has no mean of the squares of the attitudes: 0.4° squared is 5e-5 g, of noise of 2e-3.
     assert found.chi_square == pytest.approx(2 * peer.cost, rel=1e-3)
-    assert found.dof == 16 - 10
+    assert (found.dof, found.p) == (16 - 10, pytest.approx(chi2.sf(found.chi_square, 6)))
     known = found.coefficients
     theta = np.column_stack([known.offset, known.sensitivity, known.thermal.drift])
     # What is taken off for the squares of the attitudes is of their size, 0.4° squared.
