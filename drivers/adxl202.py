@@ -32,7 +32,7 @@ from typing import NamedTuple
 
 from tiltcal.drivers.bus import Link
 from tiltcal.drivers.bus.address import Address
-from tiltcal.drivers.bus.clock import Clock
+from tiltcal.drivers.bus.clock import SECOND, Clock
 from tiltcal.drivers.bus.gpio import RECORD, Edge, pack_edges, unpack_edges
 from tiltcal.drivers.columns import UNUSABLE, LineBuffer, shown
 from tiltcal.drivers.converters import SCHEMES as CONVERTERS
@@ -343,10 +343,10 @@ class VirtualEdges(VirtualPart):
         """Wait for the edges of a period."""
         if not count:
             return b""
-        period_ns, now_ns = round(period_of(self._truth) * 1e9), self._clock.now_ns()
+        period_ns, now_ns = round(period_of(self._truth) * SECOND), self._clock.now_ns()
         cycle = -(-now_ns // period_ns)
         # To the end of the period, not to its last edge, which moves while the temperature of the chamber changes.
-        self._clock.sleep(((cycle + 1) * period_ns - now_ns) / 1e9)
+        self._clock.sleep(((cycle + 1) * period_ns - now_ns) / SECOND)
         centre, edges = cycle * period_ns + period_ns // 2, []
         for line, duty in enumerate(duty_cycles(self._truth, self._fixture, self._clock, cycle)):
             half = round(duty * period_ns / 2)

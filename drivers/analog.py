@@ -25,7 +25,7 @@ from typing import Any
 from tiltcal.drivers import adxl202, sca100t
 from tiltcal.drivers.bus import Link
 from tiltcal.drivers.bus.address import Address, parse_address
-from tiltcal.drivers.bus.clock import Clock
+from tiltcal.drivers.bus.clock import SECOND, Clock
 from tiltcal.drivers.converters import NOMINAL, Inputs, VirtualAds1115, take_inputs
 from tiltcal.drivers.model import Model, Reading, Sensor, in_words
 from tiltcal.drivers.virtual import JIG, TIME_CONSTANT, HeldPose, Truth, uniform
@@ -119,7 +119,7 @@ class TiltPart:
         """Return a virtual output as a share of the supply."""
         now_ns = clock.now_ns()
         channel = truth.channels[place]
-        if self.parity_signal and truth.fault(now_ns / 1e9).kind == "parity":
+        if self.parity_signal and truth.fault(now_ns / SECOND).kind == "parity":
             return 0.05 * uniform(truth.seed, f"parity {channel}", now_ns)
         return truth.sample(channel, fixture, clock, now_ns) / NOMINAL
 
@@ -265,7 +265,7 @@ class Divider:
 
     def output(self, place: int, truth: Truth, fixture: HeldPose, clock: Clock) -> float:
         """Return the virtual output as a share of the supply."""
-        stuck = truth.fault(clock.now_ns() / 1e9).kind == "stuck"
+        stuck = truth.fault(clock.now_ns() / SECOND).kind == "stuck"
         celsius = truth.ambient if stuck else fixture.temperature()
         ohms = self.curve.ohms(celsius + truth.thermometer_error)
         return (ohms if self.grounded else self.fixed) / (ohms + self.fixed)

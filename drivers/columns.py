@@ -23,7 +23,7 @@ from tiltcal.column_names import AXES, TEMPERATURE, TIME, meaning
 from tiltcal.dialect import flattened, labels_of, printed, without_clock
 from tiltcal.drivers.bus import Link
 from tiltcal.drivers.bus.address import Address, parse_address
-from tiltcal.drivers.bus.clock import Clock
+from tiltcal.drivers.bus.clock import SECOND, Clock
 from tiltcal.drivers.model import OF_G, OF_TILT, SLOPES, Model, Reading, Sensor
 from tiltcal.drivers.virtual import HeldPose, StreamingPart, Tolerances, Truth
 from tiltcal.errors import BusError
@@ -82,7 +82,7 @@ class LineBuffer:
                 self._listen()
                 now_ns = self._clock.now_ns()
                 began_ns = now_ns if began_ns is None else began_ns
-                if not self._ready and now_ns - began_ns > PATIENCE * 1e9:
+                if not self._ready and now_ns - began_ns > PATIENCE * SECOND:
                     raise self._given_up(
                         f"no whole line came in {PATIENCE:g} s, only {shown(self._rest)}: does the device end its "
                         "lines, and is this its baud rate?"
@@ -118,7 +118,7 @@ class LineBuffer:
             raise
         if self._emptied:
             # Nothing was waiting in the port, so a long wait for the first byte was silence on the line.
-            self._begun = self._clock.now_ns() - asked_ns > SILENCE * 1e9
+            self._begun = self._clock.now_ns() - asked_ns > SILENCE * SECOND
             self._emptied = False
         pieces = _LINE_END.split(self._rest + arrived)
         self._rest = pieces.pop()
@@ -246,10 +246,10 @@ class ColumnsSensor(Sensor):
 def listened(link: Link, clock: Clock, seconds: float = 2.0) -> tuple[list[bytes], float]:
     """Return the whole lines that a device prints in some seconds, and how many come in one."""
     buffer, began_ns, lines = LineBuffer(link, clock), clock.now_ns(), list[bytes]()
-    while not lines or clock.now_ns() - began_ns < seconds * 1e9:
+    while not lines or clock.now_ns() - began_ns < seconds * SECOND:
         line, whole = buffer.next()
         lines += [line] * whole
-    return lines, 1e9 * len(lines) / max(clock.now_ns() - began_ns, 1)
+    return lines, SECOND * len(lines) / max(clock.now_ns() - began_ns, 1)
 
 
 def columns_of(address: Address, default: str | None = None) -> ColumnLayout:

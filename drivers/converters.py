@@ -33,7 +33,7 @@ from typing import ClassVar
 
 from tiltcal.drivers.bus import Link, SpiPort, check_data_line, require_length
 from tiltcal.drivers.bus.address import Address
-from tiltcal.drivers.bus.clock import Clock
+from tiltcal.drivers.bus.clock import SECOND, Clock
 from tiltcal.drivers.virtual import HeldPose, Truth, VirtualPart, uniform
 from tiltcal.errors import BusError, DeviceFault
 
@@ -258,7 +258,7 @@ class VirtualAds1115(VirtualPart):
         full_scale = RANGES[self._config >> 9 & 0b111]
         volts = self._volts(self._config >> 12 & 0b011)
         self._former_code, self._code = self._code, min(max(round(volts / full_scale * 32768), -32768), 32767)
-        self._done_ns = self._clock.now_ns() + round(seconds * 1e9)
+        self._done_ns = self._clock.now_ns() + round(seconds * SECOND)
 
 
 # --- Microchip MCP3208 ---

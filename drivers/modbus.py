@@ -22,7 +22,7 @@ from math import isfinite
 from tiltcal.column_names import TEMPERATURE, TIME
 from tiltcal.drivers.bus import Link
 from tiltcal.drivers.bus.address import Address, parse_address
-from tiltcal.drivers.bus.clock import Clock
+from tiltcal.drivers.bus.clock import SECOND, Clock
 from tiltcal.drivers.bus.modbus import FAILED, HOLDING, INPUT, WRITE, WRITE_ONE
 from tiltcal.drivers.columns import channels_of, model_of_numbers, require_name, scale_at
 from tiltcal.drivers.model import Model, Reading, Sensor
@@ -209,7 +209,7 @@ class VirtualModbus(VirtualPart):
 
     def _number(self, column: RegisterColumn) -> float:
         """Return what the registers of a column hold now, rounded and clipped to its type."""
-        number, place = self._celsius(), int(self._clock.now_ns() / 1e9 * NUMBERS_PER_SECOND)
+        number, place = self._celsius(), int(self._clock.now_ns() / SECOND * NUMBERS_PER_SECOND)
         if column.name != TEMPERATURE:
             number = self._truth.sample(column.name, self._fixture, self._clock, place)
         number /= column.scale

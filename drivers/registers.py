@@ -16,7 +16,7 @@ from typing import Any
 
 from tiltcal.drivers.bus import Bus, Link, check_data_line, require_length
 from tiltcal.drivers.bus.address import Address
-from tiltcal.drivers.bus.clock import Clock
+from tiltcal.drivers.bus.clock import SECOND, Clock
 from tiltcal.drivers.model import Model, Reading, Sensor, deviation_within, in_words, typical_nonlinearity
 from tiltcal.drivers.register_facts import (
     SPI,
@@ -378,7 +378,7 @@ class VirtualRegisters(VirtualPart):
                 held |= part.thermometer.encode(self._celsius())
             if part.new_sample:
                 status, bit = part.new_sample
-                sample = int(self._clock.now_ns() / 1e9 * part.sampling.rate)
+                sample = int(self._clock.now_ns() / SECOND * part.sampling.rate)
                 held[status] = bit if sample > self._taken else 0
                 if part.bursts[0][0] in asked:
                     self._taken = sample

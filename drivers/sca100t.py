@@ -24,7 +24,7 @@ from math import comb, radians, sin, sqrt
 from typing import Any, ClassVar
 
 from tiltcal.drivers.bus import Link, SpiPort, check_data_line, require_length
-from tiltcal.drivers.bus.clock import Clock
+from tiltcal.drivers.bus.clock import SECOND, Clock
 from tiltcal.drivers.model import Model, Population, Reading, SelfTest, Sensor, deviation_within, typical_nonlinearity
 from tiltcal.drivers.virtual import (
     REFERENCE,
@@ -245,7 +245,7 @@ class VirtualSca100t(VirtualPart):
             conversion = self._clock.now_ns() // RELOAD_NS
             return int(uniform(self._truth.seed, f"parity {element}", conversion) * LOWEST_SANE_WORD)
         reading = self._element(element, self._clock.now_ns() // RELOAD_NS)
-        if element == self._pushed and self._clock.now_ns() - self._since_ns >= SATURATION * 1e9:
+        if element == self._pushed and self._clock.now_ns() - self._since_ns >= SATURATION * SECOND:
             # A push moves the element past the rail; of one that points down the driver takes no self-test.
             reading += 0.75 * FULL_SCALE
         return min(max(round(reading), 0), FULL_SCALE)

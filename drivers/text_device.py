@@ -21,7 +21,7 @@ from typing import Any
 
 from tiltcal.column_names import TEMPERATURE
 from tiltcal.drivers.bus import Link
-from tiltcal.drivers.bus.clock import Clock
+from tiltcal.drivers.bus.clock import SECOND, Clock
 from tiltcal.drivers.columns import CHUNK, LONGEST, UNUSABLE, Scale, channels_of, model_of_numbers
 from tiltcal.drivers.model import Model, Reading, Sensor
 from tiltcal.drivers.virtual import HeldPose, StreamingPart, Truth
@@ -222,7 +222,7 @@ class TextSensor(Sensor):
             if (
                 len(self._text) > LONGEST
                 or self._damaged - damaged >= UNUSABLE
-                or (device.ask and self._clock.now_ns() - began_ns > 2e9 * device.timeout)
+                or (device.ask and self._clock.now_ns() - began_ns > 2 * SECOND * device.timeout)
             ):
                 self._begin()
                 raise BusError(self._unlike())

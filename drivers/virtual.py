@@ -15,12 +15,11 @@ from itertools import pairwise
 from math import asin, copysign, cos, exp, pi, radians, sin, sqrt, tan
 from typing import TYPE_CHECKING
 
+from tiltcal.drivers.bus.clock import SECOND, Clock
 from tiltcal.errors import BusError
 
 if TYPE_CHECKING:
     from statistics import NormalDist
-
-    from tiltcal.drivers.bus.clock import Clock
 
 Vector = tuple[float, float, float]
 Polynomial = tuple[float, ...]
@@ -130,7 +129,7 @@ class Truth:
 
     def sample(self, channel: str, fixture: HeldPose, clock: Clock, number: int) -> float:
         """Return what a channel reads now with the noise of a sample; of a stuck sensor what it reads when level."""
-        if self.fault(clock.now_ns() / 1e9).kind == "stuck":
+        if self.fault(clock.now_ns() / SECOND).kind == "stuck":
             # A function of the fault alone, so a resumed session reads the same.
             return self.reading(channel, LEVEL, self.ambient)
         noise = self.noise.get(channel, 0.0)
@@ -204,14 +203,14 @@ class Change:
 
     def temperature(self, now_ns: int) -> float:
         """Return the temperature of the chamber, °C."""
-        elapsed, way = (now_ns - self.start_ns) / 1e9, self.target - self.start
+        elapsed, way = (now_ns - self.start_ns) / SECOND, self.target - self.start
         if self.pace:
             return self.target if elapsed >= abs(way) / self.pace else self.start + copysign(self.pace * elapsed, way)
         return self.target - way * exp(-elapsed / self.time_constant) if self.time_constant else self.target
 
     def followed(self, now_ns: int, lag: float, before: float) -> float:
         """Return the temperature of what follows with a lag, s, and was ``before`` at the start."""
-        elapsed, way = (now_ns - self.start_ns) / 1e9, self.target - self.start
+        elapsed, way = (now_ns - self.start_ns) / SECOND, self.target - self.start
         if self.pace:
             slope, arrival = copysign(self.pace, way), abs(way) / self.pace
             ramped = min(elapsed, arrival)
@@ -351,7 +350,7 @@ class VirtualPart(ABC):
 
     def _fault(self) -> Fault:
         """Return the fault that is present now; of an unplugged part it is a BusError."""
-        fault = self._truth.fault(self._clock.now_ns() / 1e9)
+        fault = self._truth.fault(self._clock.now_ns() / SECOND)
         if fault.kind == "unplugged":
             raise BusError("the virtual sensor is unplugged, a fault that its truth sets: resume the session later")
         return fault
@@ -361,7 +360,7 @@ class VirtualPart(ABC):
 
         ``scale`` is the counts of the measuring range that is set, to those of the truth.
         """
-        number = int(self._clock.now_ns() / 1e9 * rate)
+        number = int(self._clock.now_ns() / SECOND * rate)
         return min(max(round(scale * self._truth.sample(channel, self._fixture, self._clock, number)), low), high)
 
     def _celsius(self) -> float:
@@ -394,8 +393,8 @@ class StreamingPart(VirtualPart):
     ) -> None:
         super().__init__(truth, fixture, clock)
         self._message = message
-        self._period_ns = round(period * 1e9)
-        self._byte_ns = round(10e9 / baudrate)
+        self._period_ns = round(period * SECOND)
+        self._byte_ns = round(10 * SECOND / baudrate)
 
     def _answered(self, out: bytes, count: int) -> bytes:
         """Wait for the next message."""
@@ -404,5 +403,5 @@ class StreamingPart(VirtualPart):
         now_ns = self._clock.now_ns()
         number = -(-now_ns // self._period_ns)
         arrived = self._message(number)[:count]
-        self._clock.sleep((number * self._period_ns + len(arrived) * self._byte_ns - now_ns) / 1e9)
+        self._clock.sleep((number * self._period_ns + len(arrived) * self._byte_ns - now_ns) / SECOND)
         return arrived

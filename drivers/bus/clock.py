@@ -6,6 +6,7 @@ import time
 from datetime import UTC, datetime
 from typing import Protocol
 
+SECOND = 1e9  # of a second, ns
 VIRTUAL_START = datetime(2000, 1, 1, tzinfo=UTC)
 """When every session on the virtual bench starts, so that the same seed gives the same file to the byte."""
 
@@ -28,7 +29,7 @@ class Clock(Protocol):
 
 def session_clock(started: datetime, *, virtual: bool) -> Clock:
     """Return the clock of a session that began at a moment; a virtual one stands at its start."""
-    return VirtualClock() if virtual else SystemClock(int(started.timestamp() * 1e9))
+    return VirtualClock() if virtual else SystemClock(int(started.timestamp() * SECOND))
 
 
 class SystemClock:
@@ -59,7 +60,7 @@ class VirtualClock:
         return self._now_ns
 
     def sleep(self, seconds: float) -> None:
-        self._now_ns += round(seconds * 1e9)
+        self._now_ns += round(seconds * SECOND)
 
     def seek(self, now_ns: int) -> None:
         self._now_ns = now_ns

@@ -1,19 +1,18 @@
-"""Parts behind the kernel's interfaces, the SCA100T one written apart from ours, are led by a program.
+"""An SCA100T behind the kernel's interface, written apart from ours, is led by a program.
 
-The bounds are those of a bench with a 0.01° jig. Of an SCA100T with 0.6 count of noise: offsets within 0.5 count and
-sensitivities within 0.9 count/g of the part's truth; of an SCA3000 with 1.5 count of noise 0.9 of both.
+The bounds are those of a bench with a 0.01° jig and 0.6 count of noise: offsets within 0.5 count, and sensitivities
+within 0.9 count/g of the part's truth.
 """
 
 import errno
 import signal
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from support.command import TILTCAL
-from support.emulated.bench import SCA100T, SCA3000, coefficients, run_on, truth
+from support.emulated.bench import SCA100T, coefficients, run_on, truth
 from support.warm_start import WarmStart
 
 from tiltcal.drivers.virtual import Truth
@@ -26,8 +25,6 @@ pytest.importorskip("spidev", reason="the spidev package is not installed")
 FLAT = truth(0.6, (1026.3, 817.4, 11.2, 0.0), (1020.8, -7.9, 821.6, 0.0))
 
 ON_SPI = ("--sensor", "sca100t-d02", "--address", "spi:///dev/spidev0.0")
-SCA3000_ON_SPI = ("--sensor", "sca3000-d01", "--address", "spi:///dev/spidev0.0")
-SCA3000_ON_I2C = ("--sensor", "sca3000-i2c", "--address", "i2c:///dev/i2c-1?address=0x1d&counts_per_g=1333&rate=250")
 
 
 def program(start: Sequence[str], procedure: str, folder: Path, *options: str) -> list[str]:
@@ -97,19 +94,3 @@ def test_killed_on_the_real_bus_and_resumed(warm: WarmStart, tmp_path: Path) -> 
     near(tmp_path / "S-0042.yaml", FLAT, 0.7, 1.0)
     assert [event.kind for event in Journal(journal)].count("resumed") == 1
     assert replay(journal).texts == {"S-0042.yaml": (tmp_path / "S-0042.yaml").read_text(encoding="utf-8")}
-
-
-def test_six_face_on_spi_and_on_i2c(warm: WarmStart, tmp_path: Path) -> None:
-    pytest.importorskip("smbus2", reason="the smbus2 package is not installed")
-    for start, options, part, *where in (
-        (TILTCAL, SCA3000_ON_SPI, SCA3000, "sca3000-d01"),
-        (warm.program, SCA3000_ON_I2C, replace(SCA3000, seed=2), "sca3000-i2c", 0x1D),
-    ):
-        with run_on(program(start, "six-face", tmp_path, *options), part, *where) as bench:
-            bench.lead()
-            assert bench.exit_code == 0, bench.errors()
-        found = near(tmp_path / "S-0042.yaml", part, 0.9, 0.9)
-        if options is SCA3000_ON_SPI:
-            # The part's own thermometer: 24 °C is raw 257.8, sent as 258, read as 24.1 °C.
-            assert [position.temperature for position in found.positions] == pytest.approx([24.11] * 6, abs=0.01)
-        (tmp_path / "S-0042.yaml").unlink()  # the calibration of another model is never replaced

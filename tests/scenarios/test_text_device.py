@@ -18,6 +18,7 @@ from tiltcal import TiltcalError, measure
 from tiltcal.bench.devices import open_sensor
 from tiltcal.drivers.bus.clock import VirtualClock
 from tiltcal.drivers.model import Sensor
+from tiltcal.drivers.text_device import answer_with
 from tiltcal.drivers.virtual import Fixture
 from tiltcal.errors import BusError, HardwareError
 from tiltcal.files.device import model_named
@@ -181,6 +182,27 @@ def test_a_check_sum_of_one_byte_and_what_is_no_number(tmp_path: Path) -> None:
     clock = VirtualClock()
     part = model.twin(model.default_truth(1), Fixture(clock), clock)
     assert abs(model.driver(part, clock).read().values[0]) < 45.0
+
+
+def test_the_virtual_part_writes_a_number_as_its_pattern_has_it(tmp_path: Path) -> None:
+    """Filled up with zeros or spaces or not at all, with a sign or as degrees to 360, with up to six decimals."""
+    for pattern, number, text in (
+        (r"[-+.0-9]+", -1.25, "-01.250"),
+        (r"[0-9.]+", -1.25, "358.750"),
+        (r"[0-9]{2}\.[0-9]{3}", 1.25, "01.250"),
+        (r"[0-9]\.[0-9]{3}", 1.25, "1.250"),
+        (r"[-+][0-9]{3}\.[0-9]{3}", 1.25, "+001.250"),
+        (r"[-+][0-9]{4}\.[0-9]{3}", -1.25, "-0001.250"),
+        (r" [-+][0-9]\.[0-9]{3}", -1.25, " -1.250"),
+        (r" {2}[-+][0-9]\.[0-9]{3}", 1.25, "  +1.250"),
+        (r" {4}[0-9]\.[0-9]{3}", 1.25, "    1.250"),
+        *((rf"[-+][0-9]\.[0-9]{{{places}}}", 1.25, f"+1.25{'0' * (places - 2)}") for places in (2, 4, 5, 6)),
+        (r"[0-9]\.[0-9]", 1.375, "1.4"),
+        (r"[0-9]", 1.375, "1"),
+    ):
+        (tmp_path / "box.yaml").write_text(f"{FILE.partition('answer')[0]}answer: '(?P<x>{pattern})'\n")
+        device = model_named(str(tmp_path / "box.yaml")).driver.args[0]
+        assert answer_with(device, {"x": number}) == f"{text}\r\n", pattern
 
 
 @pytest.mark.parametrize("kept", [0, 1])

@@ -1,5 +1,7 @@
 """The SCL3300 where it differs from other parts: its frames, banks, serial number, and resets within a sample."""
 
+import re
+
 import pytest
 from support.virtual_device import VirtualDevice
 
@@ -33,12 +35,6 @@ def test_the_driver_sends_the_frames_of_the_data_sheet_alone() -> None:
     ours = {value.hex().upper() for value in vars(frames).values() if isinstance(value, bytes)}
     assert ours | {mode.hex().upper() for mode in frames.MODES} <= ALLOWED
     assert all(frames.crc8(frame[:3]) == frame[3] for frame in map(bytes.fromhex, ALLOWED))
-    assert frames.flags_in_words(0x3FF) == (
-        "digital block (DIGI1), digital block (DIGI2), clock (CLK), signal path saturated (SAT), "
-        "temperature path saturated (TEMP_SAT), supply (PWR), memory (MEM), power-down (PD), "
-        "mode change (MODE_CHANGE), internal connection (PIN_CONTINUITY)"
-    )
-    assert frames.flags_in_words(0x004) == "power-down (PD)"
     # A write is answered with its own data: bank 1 by bank 1, and not by bank 0.
     answers = [frames.decode(bytes.fromhex(frame)) for frame in ("FD0001E1", "FD0000FC")]
     assert [answer.answers(frames.BANK_1) for answer in answers] == [True, False]
@@ -101,6 +97,28 @@ def test_an_error_whose_flags_are_damaged_sets_the_part_up_anew() -> None:
     assert device.sensor.read() == truth
     assert frames.RESET in [out for out, _, _ in device.line.sent[sent:]]
     assert device.sensor.link_statistics() == {"samples": 2, "damaged": 1, "saturated": 0, "restarts": 0}
+
+
+FLAGS = (  # by their bits, the lowest first
+    "internal connection (PIN_CONTINUITY)", "mode change (MODE_CHANGE)", "power-down (PD)", "memory (MEM)",
+    "supply (PWR)", "temperature path saturated (TEMP_SAT)", "signal path saturated (SAT)", "clock (CLK)",
+    "digital block (DIGI2)", "digital block (DIGI1)",
+)  # fmt: skip
+
+
+def test_each_flag_of_the_status_is_a_restart_a_saturation_or_a_fault() -> None:
+    """Bits 1, 2 and 4 are those of a part that was set up by nobody; of 5 or 6 the sample is repeated."""
+    for place, name in enumerate(FLAGS):
+        device = VirtualDevice(SCL)
+        device.sensor.read()
+        device.line.link._raise(1 << place)
+        if place in (5, 6):
+            device.sensor.read()
+            assert device.sensor.link_statistics()["saturated"] == 1
+            continue
+        restarted = f"was reset or its supply failed since it was set up ({name}):"
+        with pytest.raises(DeviceFault, match=re.escape(restarted if place in (1, 2, 4) else f"a fault: {name}: it")):
+            device.sensor.read()
 
 
 def test_a_part_that_is_shaken_and_wires_that_damage_a_frame_are_told_apart() -> None:

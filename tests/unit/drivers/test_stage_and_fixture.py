@@ -64,9 +64,16 @@ def test_a_gradient_turns_up_twice_a_turn_with_the_signs_of_eq_1() -> None:
         assert disk.judged(made, made.readings[:, index], harmonic=2) == pytest.approx((sign * 1e-6, sign * 5e-7))
 
 
-def test_a_slope_is_the_tangent_of_the_angle() -> None:
+def test_a_slope_is_the_tangent_of_the_angle_and_a_roll_is_about_the_axis_of_the_pitch() -> None:
     truth = Truth(("x",), {"x": 0.0}, {"x": {"x": 1000.0}}, angles="inclination", slope=1000.0)
     assert truth.reading("x", (0.5, 0.0, 0.75**0.5), 25.0) == pytest.approx(577.350269)
+    # A frame that is turned about z: its own pitch and roll, in which a rotation about x, then about y, has them.
+    turned = Rotation.from_euler("z", 20.0, degrees=True)
+    pitch, roll, up = 0.3, -0.7, Rotation.from_euler("yx", [0.3, 0.7]).apply([0.0, 0.0, 1.0])
+    y = dict(zip("xyz", 2.0 * turned.apply([0.0, 1.0, 0.0]), strict=True))
+    part = Truth(("x", "y"), {"y": 0.5}, {"y": y}, angles="euler")
+    assert up[0] == pytest.approx(sin(pitch))
+    assert part.reading("y", tuple(turned.apply(up)), 25.0) == pytest.approx(0.5 + 2.0 * roll)
 
 
 def test_a_line_is_the_next_sample_of_the_disk_in_the_columns_of_the_address() -> None:
@@ -93,8 +100,8 @@ def test_what_follows_the_chamber_obeys_its_differential_equation(pace: float, c
     seconds, chamber, element = np.arange(0.0, 2000.0, 20.0), [], []
     for now in seconds:
         clock.seek(round(now * 1e9))
-        if now in (100.0, 1200.0):
-            fixture.move((0.0, 0.0, 1.0), {100.0: 40.0, 1200.0: 10.0}[now], pace)
+        if now in (100.0, 300.0):
+            fixture.move((0.0, 0.0, 1.0), {100.0: 40.0, 300.0: 10.0}[now], pace)
         chamber.append(fixture.temperature())
         element.append(fixture.temperature(90.0))
 
@@ -103,7 +110,7 @@ def test_what_follows_the_chamber_obeys_its_differential_equation(pace: float, c
 
     solved = solve_ivp(slope, (0.0, 1980.0), [20.0], t_eval=seconds, max_step=5.0, rtol=1e-8).y[0]
     assert element == pytest.approx(solved, abs=0.05)
-    assert chamber[20] == pytest.approx(30.0 if pace else 40.0 - 20.0 * np.exp(-300.0 / constant))
+    assert chamber[10] == pytest.approx(20.0 + 200.0 / 60.0 if pace else 40.0 - 20.0 * np.exp(-100.0 / constant))
 
 
 def test_a_jig_misses_each_position_by_its_angle_and_keeps_it_while_it_is_held() -> None:

@@ -67,6 +67,11 @@ def test_changes_are_edges_at_their_times_and_first_values_are_not(hand_written:
         link.exchange(b"", 4096)
     link.close()
     link.close()
+    for unit, ns in (("1 s", 1e9), ("1 ms", 1e6), ("100 us", 1e5), ("10 ns", 10), ("100 ps", 0.1), ("10 fs", 1e-5)):
+        hand_written.write_text(HAND_WRITTEN.replace("10 us", unit))
+        with closing(opened(hand_written)) as link:
+            times = [edge.time_ns for edge in unpack_edges(link.exchange(b"", 4096))]
+        assert times == [round(ns * step) for step in (0, 50, 52, 60, 100)], unit
 
 
 @pytest.mark.skipif(shutil.which("sigrok-cli") is None, reason="sigrok-cli is not installed")
