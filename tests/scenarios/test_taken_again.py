@@ -90,12 +90,12 @@ def test_killed_while_it_is_taken_again(tmp_path: Path, monkeypatch: pytest.Monk
         answers = iter([*7 * [{"answer": "ready"}], GONE])
         led = lead(*BEGIN, cwd=tmp_path, answer=lambda message: next(answers) if "ask" in message else None)
     assert led.exit_code == 130
-    go, again = {"answer": "ready"}, [{"answer": "again", "position": name} for name in ("x-up", "x-down")]
+    go, again = {"answer": "ready"}, [{"answer": "again", "position": name} for name in ("z-up", "x-down")]
     said = iter([again[0], go, {"answer": "back"}, go, again[1], go, go])
     led = lead(*RESUME, cwd=tmp_path, answer=lambda message: next(said) if "ask" in message else None)
     assert led.exit_code == 0, led.errors
-    assert [one["position"] for one in led.asks] == ["y-down", "x-up", "y-down", "x-up", "y-down", "x-down", "y-down"]
-    require_right(tmp_path, {**dict.fromkeys(WRONG, 2), "x-up": 2, "x-down": 2})
+    assert [one["position"] for one in led.asks] == ["y-down", "z-up", "y-down", "z-up", "y-down", "x-down", "y-down"]
+    require_right(tmp_path, {**dict.fromkeys(WRONG, 2), "z-up": 2, "x-down": 2})
 
 
 def test_the_person_chooses_the_order_and_the_reading_does_not(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,6 +9,7 @@ from tiltcal.bench.devices import Recorder, SensorSet
 from tiltcal.bench.guidance import SensorGuidance, tilt_guidance
 from tiltcal.bench.operators import LOOK, Operator, understood
 from tiltcal.core.attitude import Vector
+from tiltcal.drivers.bus.clock import SECOND
 from tiltcal.errors import HardwareError, InputError, Stopped
 from tiltcal.files.procedure import Position
 from tiltcal.files.record import plain
@@ -137,7 +138,7 @@ class Conversation:
         if minutes > self._minutes:
             self._minutes = minutes
             temperature = next((one.temperature for one in sample.values() if one.temperature is not None), None)
-            passed = round((self._recorder.now_ns() - self._answered_ns) / 1e9)
+            passed = round((self._recorder.now_ns() - self._answered_ns) / SECOND)
             self.tell(messages.Waiting(position.name, passed, why, temperature))
 
     def _shown(self, sample: Sample, up: Vector | None) -> dict[str, messages.ShownReading]:

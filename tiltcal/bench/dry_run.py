@@ -8,7 +8,7 @@ from functools import partial
 
 from tiltcal.bench.drives import Angles, open_drive
 from tiltcal.bench.machines import Mover, carrier_of, in_words, wanted
-from tiltcal.drivers.bus.clock import session_clock
+from tiltcal.drivers.bus.clock import SECOND, session_clock
 from tiltcal.errors import HardwareError, UsageError
 from tiltcal.journal.header import Setup
 from tiltcal.printable import in_minutes
@@ -21,7 +21,7 @@ def dry_run(setup: Setup, say: Callable[[str], None]) -> None:
     HardwareError: a position is not reached; it is named.
     """
     machines, positions = setup.machines, setup.steps.positions
-    if not (machines and positions):
+    if not machines:
         raise UsageError("a dry run moves the table or the chamber of a bench file, and there is none to move")
     clock = session_clock(setup.began, virtual=setup.simulated)
     carrier = carrier_of(machines.values()) or "x"
@@ -45,14 +45,14 @@ def dry_run(setup: Setup, say: Callable[[str], None]) -> None:
                 raise HardwareError((f"{position.name}: ", *error.words)) from None
             for axis, angle in reached.items():
                 used[axis].append(angle)
-            took = (clock.now_ns() - before_ns) / 1e9
+            took = (clock.now_ns() - before_ns) / SECOND
             say(f"{number}/{len(positions)}  {position.name:<12} {in_words(reached)}   {took:.0f} s")
     for name, machine in machines.items():
         for axis, (low, high) in machine.limits.items():
             if met := used[axis]:
                 says = f"the {name} went from {min(met):.6g} to {max(met):.6g} in {axis}"
                 say(f"{says}; its limits are {low:g} and {high:g}")
-    length = in_minutes((clock.now_ns() - began_ns) / 1e9)
+    length = in_minutes((clock.now_ns() - began_ns) / SECOND)
     say(f"all {len(positions)} positions were reached in {length}, without a sensor")
     if by_hand:
         say(f"no machine sets {', '.join(sorted(by_hand))}: it will be asked for")

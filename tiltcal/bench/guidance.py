@@ -258,7 +258,7 @@ def _axis_in_words(channel: str, tilt: AxisTilt, off: Difference | None) -> str:
 def _present_gravity(orientation: Orientation, tilts: Mapping[str, AxisTilt], gravity: Vector) -> Vector | None:
     """Return the direction that points up by the present angles of one or two axes, in the fixture's frame.
 
-    An axis that the sensor does not measure is as the position asks for; None where an angle is not known or all are 0.
+    An axis that the sensor does not measure is as the position asks for; None where an angle is not known.
     """
     up = {name: sin(radians(tilt.present)) for name, tilt in tilts.items() if tilt.present is not None}
     if not up or len(up) < len(tilts):
@@ -268,7 +268,7 @@ def _present_gravity(orientation: Orientation, tilts: Mapping[str, AxisTilt], gr
     up |= {axis: rest * one / asked if asked else rest / sqrt(len(others)) for axis, one in others.items()}
     x, y, z = _of_fixture(orientation, up)
     length = hypot(x, y, z)
-    return (x / length, y / length, z / length) if length else None
+    return x / length, y / length, z / length
 
 
 def _of_fixture(orientation: Orientation, seen: Mapping[str, float]) -> Vector:
@@ -281,13 +281,11 @@ def _of_fixture(orientation: Orientation, seen: Mapping[str, float]) -> Vector:
 def level_sides(gravity: Vector) -> list[tuple[str, Vector]]:
     """Return the two sides of the fixture that are nearest to level in an attitude, each direction made level."""
     first, second = sorted(sorted(range(3), key=lambda axis: abs(gravity[axis]))[:2])
-    x, y, z = gravity
-    level = [(axis == first) - gravity[first] * up for axis, up in enumerate(gravity)]
-    a, b, c = (part / hypot(*level) for part in level)
-    across = (y * c - z * b, z * a - x * c, x * b - y * a)  # the other direction that is level: up times the first
-    sign = 1.0 if across[second] > 0.0 else -1.0
-    sides = ((a, b, c), (sign * across[0], sign * across[1], sign * across[2]))
-    return [(f"+{AXES[axis].upper()}", side) for axis, side in zip((first, second), sides, strict=True)]
+    up = np.array(gravity)
+    level = np.eye(3)[first] - gravity[first] * up
+    across = np.cross(up, level)  # the other direction that is level
+    sides = [side / np.linalg.norm(side) for side in (level, across * np.sign(across[second]))]
+    return [(f"+{AXES[axis].upper()}", tuple(side.tolist())) for axis, side in zip((first, second), sides, strict=True)]
 
 
 def too_high(gravity: Vector, up: Vector) -> dict[str, float]:

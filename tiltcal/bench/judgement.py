@@ -63,10 +63,11 @@ class Judgement:
         if position:
             *_, before, now = ["", *self._takes[position]]
             jig = "" if self._session.setup.settings.jig else "; no jig is stated"
-            repeated = f"; before, it read {before}" if before else f"; {self._session.setup.steps.why_not_again}"
-            why = f"{position} read {now}{repeated}; {why}{jig}"
-            if len(self._takes[position]) > 1:
-                why = f"{len(self._takes[position])} takes without agreement: {why}"
+            if before:
+                takes = f"{len(self._takes[position])} takes without agreement: {position} read {now}; before, it read "
+                why = f"{takes}{before}; {why}{jig}"
+            else:
+                why = f"{position} read {now}; {self._session.setup.steps.why_not_again}; {why}{jig}"
             end = HardwareError(why)
         try:
             self._session.talk.ask(StopAndKeep(position, why))

@@ -178,7 +178,7 @@ def live_tilts(
 
         def read() -> dict[str, LiveTilt]:
             readings = sensors.read(fresh=True)
-            seconds = recorder.now_ns() / 1e9
-            return {serial: kernels[serial](reading, seconds) for serial, reading in readings.items()}
+            readings.now_ns = recorder.now_ns()
+            return {serial: kernels[serial](reading, readings.seconds) for serial, reading in readings.items()}
 
         yield read

@@ -27,7 +27,7 @@ from tiltcal.bench.messages import (
 )
 from tiltcal.bench.operators import Operator
 from tiltcal.core.attitude import Vector
-from tiltcal.drivers.bus.clock import Clock
+from tiltcal.drivers.bus.clock import SECOND, Clock
 from tiltcal.errors import HardwareError, InputError, Stopped, UsageError
 from tiltcal.files.machine import TILTS, Machine
 from tiltcal.files.procedure import Position, Procedure
@@ -149,7 +149,7 @@ class Mover:
         self, drive: Drive, targets: Angles, tolerance: float, waits: Callable[[str, Angles], None]
     ) -> dict[str, float]:
         drive.set(targets)
-        end_ns = self._clock.now_ns() + self._timeout * 1e9
+        end_ns = self._clock.now_ns() + self._timeout * SECOND
         before: Angles = {}
         while self._clock.now_ns() <= end_ns:
             self._clock.sleep(self._poll)
@@ -316,7 +316,7 @@ class Machines:
             nonlocal minutes
             if self._person.watches:
                 self._person.tell(Look(position, why, {}))
-            seconds = round((self._clock.now_ns() - began_ns) / 1e9)
+            seconds = round((self._clock.now_ns() - began_ns) / SECOND)
             if seconds // 60 > minutes:
                 minutes, temperature = seconds // 60, at.get(TEMPERATURE)
                 self._person.tell(Waiting(position, seconds, why, temperature))

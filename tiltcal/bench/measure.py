@@ -117,7 +117,7 @@ def _operator(
 def _with_machines(operator: Operator, session: Session, stack: ExitStack) -> Operator:
     """Return an operator that moves the machines of the bench, where it has any and a position is to be set."""
     setup = session.setup
-    if not setup.machines or not setup.steps.positions or session.finished:
+    if not setup.machines or session.finished:
         return operator
     from tiltcal.bench.drives import open_drive
     from tiltcal.bench.machines import Machines, Mover

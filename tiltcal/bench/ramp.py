@@ -9,6 +9,7 @@ from tiltcal.bench.checks import require_few
 from tiltcal.bench.devices import RECOVERY
 from tiltcal.bench.session import Session
 from tiltcal.bench.settle import Unsettled
+from tiltcal.drivers.bus.clock import SECOND
 from tiltcal.errors import SensorError, UsageError
 from tiltcal.files.procedure import Position, Ramp
 from tiltcal.journal.playback import Sample
@@ -68,7 +69,7 @@ class RampLegs:
                 return samples
             if not abs(temperature - before) < CHANGE:
                 since, before = now_ns, temperature
-            elif now_ns - since > ramp.patience * 1e9:
+            elif now_ns - since > ramp.patience * SECOND:
                 return samples
             session.talk.look(position, samples[-1], f"at {temperature:.1f} °C, on the way to {wanted:g} °C")
             session.clock.sleep(ramp.interval)

@@ -14,7 +14,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from tiltcal.bench.devices import RECOVERY, Recorder, SensorSet, VirtualBench, connected, probe_devices
-from tiltcal.drivers.bus.clock import VIRTUAL_START, Clock, session_clock
+from tiltcal.drivers.bus.clock import SECOND, VIRTUAL_START, Clock, session_clock
 from tiltcal.drivers.model import link_in_words
 from tiltcal.errors import Argument, UsageError
 from tiltcal.files.atomic import BINARY, append_whole, sync_data
@@ -150,7 +150,7 @@ def record(
     # A sensor that talks faster than rows are taken would be read later and later.
     slower = interval > 1.5 * min(model.interval for model in sensors.models.values())
     begun_ns = due_ns = secured_ns = clock.now_ns()
-    while (rows is None or recording.rows < rows) and (seconds is None or clock.now_ns() - begun_ns < seconds * 1e9):
+    while (rows is None or recording.rows < rows) and (seconds is None or clock.now_ns() - begun_ns < seconds * SECOND):
         sample, why = sensors.read_available(fresh=slower or not recording.rows)
         now_ns = clock.now_ns()
         recording.append(columns.row(moment_after(started, now_ns), sample))
@@ -160,5 +160,5 @@ def record(
             recording.secure()
             secured_ns = now_ns
         progress(recording)
-        due_ns = max(due_ns + round(interval * 1e9), now_ns - round(interval * 1e9))
-        clock.sleep(max((due_ns - clock.now_ns()) / 1e9, 0.0 if sample or interval else RECOVERY))
+        due_ns = max(due_ns + round(interval * SECOND), now_ns - round(interval * SECOND))
+        clock.sleep(max((due_ns - clock.now_ns()) / SECOND, 0.0 if sample or interval else RECOVERY))

@@ -29,6 +29,7 @@ from tiltcal.core.pair.matching import (
 from tiltcal.core.pair.model import FEWEST_TURNS
 from tiltcal.core.pair.online import TurnStream
 from tiltcal.core.pair.stage import STANDSTILL
+from tiltcal.drivers.bus.clock import SECOND
 from tiltcal.errors import EstimateError, SensorError
 from tiltcal.files.procedure import Rotation
 from tiltcal.journal.calibrations import unused
@@ -145,7 +146,9 @@ class TurningStage:
                     return CONVERGED if known else ALL_TURNS
             elif why:
                 since_ns = session.recorder.now_ns()
-            elif not self._turns and (idle := self._idle()) and session.recorder.now_ns() - since_ns > patience * 1e9:
+            elif (
+                not self._turns and (idle := self._idle()) and session.recorder.now_ns() - since_ns > patience * SECOND
+            ):
                 session.talk.refuse("rotation", f"{idle} (waited for {patience:g} s)")
                 since_ns = self._begin()
 

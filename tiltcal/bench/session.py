@@ -23,7 +23,7 @@ from tiltcal.bench.guidance import SensorGuidance
 from tiltcal.bench.operators import Operator
 from tiltcal.bench.reference import require_steady
 from tiltcal.bench.settle import NEAR, Unsettled, Window, movement, row_of, wait_until_still
-from tiltcal.drivers.bus.clock import session_clock
+from tiltcal.drivers.bus.clock import SECOND, session_clock
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.procedure import Position, Ramp
 from tiltcal.files.record import plain
@@ -222,7 +222,7 @@ class Session:
         self.recorder.record(POSITION, {"position": result.position.name, **samples, "sensors": values})
         self.recorder.secure()
         done = len(self.recorded.accepted)
-        took = (self.recorder.now_ns() - self._asked[1]) / 1e9
+        took = (self.recorder.now_ns() - self._asked[1]) / SECOND
         self._moves.append(max(0.0, took - self._least(done) + self._least(done + 1)))
         self.recorded.accept(result)
         offs = {serial: guide.off for serial, guide in (guides or {}).items()}

@@ -148,7 +148,7 @@ def _require_suitable(setup: Setup) -> None:
         from tiltcal.calibration.angle_units import identified
         from tiltcal.calibration.measurement import require_suitable
 
-        if any(setup.machines.values()):
+        if setup.machines:
             require_reachable(setup.machines, steps.positions)
         for device in setup.sensors:
             require_suitable(steps.in_positions(), model := device.wired, device.orientation)

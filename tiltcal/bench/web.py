@@ -243,7 +243,7 @@ class WebOperator(Operator):
         """Return the direction that a sensor reads by its nominal coefficients; a z that it has not is positive."""
         sensor = self._begin.sensors[serial]
         sines = {name: (value - sensor.offset) / sensor.sensitivity for name, value in values.items()}
-        x, y = sines.get("x", 0.0), sines.get("y", 0.0)
+        x, y = (sines.get(axis, 0.0) for axis in "xy")
         return x, y, sines.get("z", sqrt(max(1.0 - x * x - y * y, 0.0)))
 
     def _sphere(self, accepted: Sequence[str]) -> dict[str, object]:
@@ -262,13 +262,14 @@ class WebOperator(Operator):
         rows = [directions for _, directions in self._readings]
         if len(rows) < 4 or self._readings[-1][0] - self._readings[0][0] < 0.6 * STILL_FOR:
             return 0.0
-        turns = [180.0]
-        for serial in rows[-1]:
-            read = [row[serial] for row in rows if serial in row]
-            halves = read[: len(read) // 2], read[len(read) // 2 :]
-            first, second = ([sum(column) for column in zip(*half, strict=True)] for half in halves)
-            turns.append(_apart(first, second) if len(read) == len(rows) else 180.0)
-        return min(1.0, MOVING / max(max(turns[1:], default=180.0), 1e-9))
+        if not rows[-1] or any(row.keys() != rows[-1].keys() for row in rows):  # a sensor failed meanwhile
+            return 0.0
+        halves = rows[: len(rows) // 2], rows[len(rows) // 2 :]
+        moved = (
+            _apart(*([sum(column) for column in zip(*(row[serial] for row in half), strict=True)] for half in halves))
+            for serial in rows[-1]
+        )
+        return min(1.0, MOVING / max(*moved, 1e-9))
 
     def _free_answer(self, question: messages.Question) -> str:
         """Return the answer that free hands give to a question; nothing where a person has to."""

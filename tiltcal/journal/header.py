@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from msgspec import Meta
 
+from tiltcal.drivers.bus.clock import SECOND
 from tiltcal.drivers.model import Model, Reading
 from tiltcal.errors import Argument, InputError, JournalError, UsageError
 from tiltcal.files.bench import BenchFile, BenchSensor
@@ -140,8 +141,9 @@ class Setup(Record, kw_only=True, dict=True):
     @property
     def machines(self) -> dict[str, Machine]:
         """What moves by itself, and has something to do in the procedure."""
-        warm = any(position.temperature is not None for position in self.steps.positions)
-        machines = {"table": self.table, "chamber": self.chamber if warm else None}
+        positions = self.steps.positions
+        warm = any(position.temperature is not None for position in positions)
+        machines = {"table": self.table if positions else None, "chamber": self.chamber if warm else None}
         return {name: machine for name, machine in machines.items() if machine is not None}
 
     @property
@@ -187,7 +189,7 @@ class StageChannels:
 
     def row(self, now_ns: int, readings: Mapping[str, Reading]) -> tuple[float, ...]:
         """Return a sample as seconds, angle in degrees, and readings."""
-        return (now_ns / 1e9, *(readings[serial].values[place] for serial, place in self.places))
+        return (now_ns / SECOND, *(readings[serial].values[place] for serial, place in self.places))
 
 
 def stage_channels(rotation: Rotation, devices: Sequence[tuple[str, Model]]) -> StageChannels:

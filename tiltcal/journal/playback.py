@@ -11,11 +11,11 @@ accepted position names the line at which its samples begin.
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from math import inf
 
-from tiltcal.drivers.bus.clock import VirtualClock
+from tiltcal.drivers.bus.clock import SECOND, VirtualClock
 from tiltcal.drivers.model import Reading
 from tiltcal.errors import BusError, HardwareError, JournalError, SensorError
 from tiltcal.journal.header import OF_THE_BENCH, Setup
@@ -46,7 +46,7 @@ class Sample(dict[str, Reading]):
     @property
     def seconds(self) -> float:
         """Its time, seconds."""
-        return self.now_ns / 1e9
+        return self.now_ns / SECOND
 
 
 @dataclass
@@ -127,14 +127,14 @@ class Playback:
 
     def _kept_by_drivers(self, event: Event) -> Iterator[Sample]:
         """Yield the samples that need no further transaction, where the session took them before an event."""
-        question, most = event.content(OperatorAnswer).to if event.kind == ANSWER else "", 0
+        question, wanted = event.content(OperatorAnswer).to if event.kind == ANSWER else "", 0.0
         if not self.setup.steps.positions and (event.kind in (POSITION, RESUMED) or question == "write"):
-            most = sys.maxsize
+            wanted = inf
         elif question == "review":
             coming = self._journal.coming
-            most = (self.setup.settings.samples if coming is None else coming.first.taken) - self._since
-        while most > 0 and (sample := self._sample()) is not None:
-            most, self._since = most - 1, self._since + 1
+            wanted = self.setup.settings.samples if coming is None else coming.first.taken
+        while self._since < wanted and (sample := self._sample()) is not None:
+            self._since += 1
             yield sample
 
     def _resume(self) -> None:

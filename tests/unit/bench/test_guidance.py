@@ -5,8 +5,9 @@ from math import asin, cos, degrees, radians, sin
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
-from tiltcal.bench.guidance import guidance
+from tiltcal.bench.guidance import guidance, level_sides, too_high
 from tiltcal.core.attitude import STRAIGHT, gravity_from_tilt, orientation
 from tiltcal.core.plausibility import ExpectedReadings
 from tiltcal.drivers import find_model
@@ -86,6 +87,9 @@ def test_the_present_attitude_is_in_the_frame_of_the_fixture(axes: tuple[str, st
     alone = replace(SCA100T, channels=("x",))
     shown = guidance(alone, STRAIGHT, counts(degrees(asin(0.6)), 0.0)[:1], (1.0, 0.0, 0.0), expected(alone))
     assert shown.up == pytest.approx((0.6, 0.32**0.5, 0.32**0.5))
+    # Two axes that read more than gravity together leave nothing for the third.
+    shown = guidance(SCA100T, STRAIGHT, counts(60.0, 60.0), up, expected())
+    assert shown.up == pytest.approx((0.5**0.5, 0.5**0.5, 0.0))
 
 
 FACES = [(1.0, 0.0, 0.0), (-1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, 1.0), (0.0, 0.0, -1.0)]
@@ -106,6 +110,22 @@ def test_a_thousand_parts_of_three_axes_set_exactly_are_off_by_their_offset_at_m
             assert angle <= most + 1e-9
             assert np.hypot(*shown.sides.values()) == pytest.approx(angle)
             learnt.learn(sits.seen(face), values)
+
+
+def test_two_sides_are_level_across_each_other_and_nearest_to_level_in_any_attitude() -> None:
+    drawn = np.random.default_rng(5).normal(size=(60, 3))
+    for up in [*map(np.array, FACES), *(one / np.linalg.norm(one) for one in drawn)]:
+        (first, one), (second, other) = level_sides(tuple(up.tolist()))
+        axes = ["XYZ".index(name[1]) for name in (first, second)]
+        assert np.array([one, other, up]) @ np.array([one, other, up]).T == pytest.approx(np.eye(3))
+        assert axes == sorted(set(range(3)) - {2 - int(np.argmax(np.abs(up[::-1])))})
+        assert one[axes[0]] > 0.0
+        assert other[axes[1]] > 0.0
+        # Turned about the first side by 1°, the second one is that much too high.
+        turned = Rotation.from_rotvec(np.radians(1.0) * np.cross(up, other)).apply(up)
+        assert too_high(tuple(up.tolist()), tuple(turned.tolist())) == pytest.approx(
+            {first: 0.0, second: 1.0}, abs=1e-9
+        )
 
 
 def test_the_side_that_must_go_up_is_named_and_what_has_no_direction_yet_is_said() -> None:
