@@ -10,15 +10,12 @@ import inspect
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from textwrap import fill
 from typing import Any, TypeVar, get_type_hints
 
 from tiltcal.printable import did_you_mean
 
 T = TypeVar("T")
 F = TypeVar("F", bound=Callable[..., Any])
-
-INDENT = "    "
 
 
 @dataclass(frozen=True)
@@ -91,8 +88,7 @@ def takes(declaration: type) -> Callable[[F], F]:
         if text is not None:
             entries = []
             for name, (option, kind) in options.items():
-                help = fill(option.help, 100, initial_indent=INDENT, subsequent_indent=INDENT)
-                entries.append(f"{name} : {_written(kind).replace(' | ', ' or ')}\n{help}\n")
+                entries.append(f"{name} : {_written(kind).replace(' | ', ' or ')}\n    {option.help}\n")
             function.__doc__ = text.replace("**options\n", "".join(entries))
         return function
 

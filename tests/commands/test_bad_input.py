@@ -47,6 +47,10 @@ REFUSED = [
     ("apply cal.yaml log.csv log2.csv -o log.csv/to", "the folder log.csv/to cannot be made: Not a directory"),
     ("apply wrong.yaml log.csv", "wrong.yaml:5: calibration.ofset: unknown key 'ofset' (did you mean 'offset'?)"),
     ("apply gone.yaml log.csv", "gone.yaml"),
+    *(
+        (f"apply cal.yaml log.csv -o out{end}", f"out{end}: a log is written as .csv or .parquet, or stays .nc: name")
+        for end in (".csv.gz", ".xlsx", ".JSON")
+    ),
     ("apply cal.yaml log.csv --columns x", "takes pairs, not 'x'"),
     ("apply cal.yaml log.csv --columns x=", "takes pairs, not 'x='"),
     ("apply cal.yaml log.csv --columns temprature=T", "did you mean 'temperature'?"),
@@ -81,7 +85,6 @@ REFUSED = [
     ("match log.csv --pair a1 --orthogonal a4", "--pair 'a1' is not a pair; write two columns, such as a1,a2"),
     ("match log.csv --pair a1, --orthogonal a4", "--pair 'a1,' is not a pair"),
     ("match log.csv --pair a1,a2,a3 --orthogonal a4", "--pair 'a1,a2,a3' is not a pair"),
-    ("match log.csv --pair a1,a1 --orthogonal a4", "three different columns"),
     (f"match log.csv {PAIR} --pair a1,a2 --orthogonal a4", "two different pairs"),
     (f"match log.csv {PAIR} --loops", "--loops needs --online"),
     (f"record {SIM} --rows 3 -o log.nc", "log.nc: a recording is CSV or Parquet: name a .csv or .parquet"),

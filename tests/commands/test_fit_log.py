@@ -92,11 +92,7 @@ class TestCoarseReadings:
         assert 0.7 / sqrt(12) / sqrt(3) < found.uncertainty["offset.x"] < 1.1 / sqrt(12) / sqrt(3)
         assert abs(found.coefficients.offset[0] - 7.31) < 2 * found.uncertainty["offset.x"]
 
-    def test_a_channel_that_is_stuck_in_one_face_or_in_all(self, tmp_path: Path) -> None:
-        data = self.readings(noise=0.5)
-        data[2, :, 0] = data[1, -1, 0]
-        said = refused(tmp_path, "six-face", self.columns(data), spans(self.FACES, 100), *self.OPTIONS)
-        assert "segments.csv:4: segment y-up: all samples of x are identical, and elsewhere they scatter" in said
+    def test_a_channel_that_is_stuck_in_all_faces(self, tmp_path: Path) -> None:
         data = self.readings(noise=0.5)
         data[:, :, 2] = 37.0
         said = refused(tmp_path, "six-face", self.columns(data), spans(self.FACES, 100), *self.OPTIONS)

@@ -214,14 +214,14 @@ PROBED = {
         "next: tiltcal fit six-face held.txt --columns x=1,y=2,z=3 --unit m/s2 --serial NAME -o NAME.yaml\n",
     ),
     "gaps.csv": (
-        "ax (g),ay (g),az (g)\n"
-        + "".join(f"{x:.4f},{'' if y > 0.02 else f'{y:.4f}'},{1 + z:.4f}\n" for x, y, z in NOISE),
+        "ax,ay,az\n" + "".join(f"{x:.4f},{'' if y > 0.02 else f'{y:.4f}'},{1 + z:.4f}\n" for x, y, z in NOISE),
         "rows from line 2, names in line 1, fields by commas, encoding UTF-8\n"
-        "    1  ax (g)                       x            [g] by its header\n"
-        "    2  ay (g)                       y            [g] by its header\n"
-        "    3  az (g)                       z            [g] by its header\n"
-        f"3000 rows\n  ay (g): missing in {int((NOISE[:, 1] > 0.02).sum())} rows\n"
-        "at rest the readings are 1.00 long\n1 still attitude, 1 of them different\nnext: tiltcal noise gaps.csv\n",
+        "    1  ax                           x            [g] by the length of gravity at rest\n"
+        "    2  ay                           y            [g] by the length of gravity at rest\n"
+        "    3  az                           z            [g] by the length of gravity at rest\n"
+        f"3000 rows\n  ay: missing in {int((NOISE[:, 1] > 0.02).sum())} rows\n"
+        "at rest the readings are 1.00 long\n1 still attitude, 1 of them different\n"
+        "next: tiltcal noise gaps.csv --unit g\n",
     ),
 }
 

@@ -44,14 +44,6 @@ def printed(folder: Path, *arguments: str) -> str:
     return done.stdout
 
 
-@pytest.mark.parametrize("name", ["tilt.csv.gz", "tilt.xlsx", "tilt.JSON"])
-def test_an_output_of_another_format_is_refused(folder: Path, name: str) -> None:
-    """It was CSV under that name."""
-    done = tiltcal("apply", FIXTURES / "plane.yaml", "rest.csv", "-o", name, cwd=folder, code=2)
-    assert not (folder / name).exists()
-    assert f"{name}: a log is written as .csv or .parquet, or stays .nc" in done.stderr
-
-
 @pytest.mark.parametrize("end", FORMATS)
 def test_a_log_is_read_whole_and_says_how_far(end: str, tmp_path: Path) -> None:
     """Cell by cell what was written, in several blocks, and the share of its bytes with each."""

@@ -9,7 +9,6 @@ import signal
 import subprocess
 import termios
 from collections.abc import Sequence
-from datetime import UTC, datetime, timedelta, timezone
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -109,19 +108,6 @@ class TestMatch:
 
 class TestTimes:
     """The column ``time`` as the recorder writes it, and as others do."""
-
-    def test_moments(self, tmp_path: Path) -> None:
-        """In UTC, and in another zone, with and without an encoder."""
-        path, east = small(tmp_path), timezone(timedelta(hours=2))
-        header, *rows = path.read_text().splitlines()
-        begin = datetime(2026, 3, 29, 0, 59, 30, tzinfo=UTC)  # where clocks in Europe change
-        for zone, phase in ((UTC, ("--phase", "theta")), (east, ())):
-            moments = [(begin + timedelta(seconds=number / 20)).astimezone(zone) for number in range(len(rows))]
-            lines = [f"{at.isoformat()},{row.partition(',')[2]}" for at, row in zip(moments, rows, strict=True)]
-            path.write_text("\n".join([header, *lines]) + "\n")
-            found = as_json(match(path, *PAIR, *phase, "--json", "-o", tmp_path / "p.yaml"))
-            assert found["p"] == pytest.approx(disk.truth()[0], abs=1e-4)
-            assert tiltcal.read(tmp_path / "p.yaml").record.spin.frequency == pytest.approx(0.125, rel=1e-5)
 
     def test_what_is_no_time_is_needed_only_without_an_encoder(self, tmp_path: Path) -> None:
         path = small(tmp_path)

@@ -50,33 +50,18 @@ class TestOfALog:
         """The noisier channel settles it: (sigma / target)², and degrees of one g are those of the nominal part."""
         log = written(tmp_path / "log.csv", counts())
         found = as_json(log, "--sensor", "sca100t-d02", "--target", "0.005")
-        assert (found["samples"], found["unit"], found["seconds"]) == (20_000, "count", pytest.approx(200.0))
-        assert found["interval"] == pytest.approx(0.01, rel=1e-6)
+        assert (found["samples"], found["unit"], found["interval"]) == (20_000, "count", pytest.approx(0.01, rel=1e-6))
         for name, sigma in (("x", 0.6), ("y", 0.9)):
             one = found["channels"][name]
             assert one["mean"] == pytest.approx(1024.0, abs=0.03)
             assert one["averages"][0]["std"] == pytest.approx(sigma, rel=0.02)
-            assert one["averages"][0]["std_degrees"] == pytest.approx(degrees(sigma / SCA100T_D02), rel=0.02)
-            assert [row["samples"] for row in one["averages"]] == [1, 10, 100, 1000]
             # One-sided density of white noise: 2 sigma² dt.
             assert one["noise_density"]["value"] == pytest.approx(sigma * sqrt(2 * 0.01), rel=0.03)
-            assert one["velocity_random_walk"]["value"] == pytest.approx(sigma * sqrt(0.01), rel=0.03)
-            assert (one["drift"], one["bias_instability"]["reached"]) == (None, False)
-            assert [point["tau"] for point in one["allan"]][:3] == pytest.approx([0.01, 0.02, 0.04])
-            assert all(point["low"] < point["deviation"] < point["high"] for point in one["allan"])
         advice = found["recommendation"]
         assert (advice["channel"], advice["met"]) == ("y", True)
         assert advice["samples"] == pytest.approx((degrees(0.9 / SCA100T_D02) / 0.005) ** 2, rel=0.06)
-        assert advice["seconds"] == pytest.approx(advice["samples"] * 0.01)
         printed = noise(log, "--sensor", "sca100t-d02", "--target", "0.005").stdout
         assert f"measure --samples {advice['samples']}:" in printed
-        # By range: white noise of sigma / √n, whose averages of a hundred lie within about five standard deviations.
-        coarse = ("--sensor", "sca100t-d02", "--target", "0.05")
-        by_range = as_json(log, *coarse)["recommendation"]["channels"]["y"]["samples_by_range"]
-        ranges = [(one["samples"], one["range_degrees"]) for one in found["channels"]["y"]["averages"]]
-        above = next(n for n, width in reversed(ranges) if width > 0.05)
-        assert above < by_range <= 10 * above
-        assert f"y {by_range}" in noise(log, *coarse).stdout
 
     def test_a_figure(self, tmp_path: Path) -> None:
         log = written(tmp_path / "log.csv", counts(4000))

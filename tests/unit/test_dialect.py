@@ -65,6 +65,9 @@ def test_fields_sums_patterns_and_objects() -> None:
     assert rows.cells("x = 1.5 y = 2") is rows.cells("x = a y = 2 mg") is None
     assert rows.at_once(b"x = 1 y = 2 mg\nx = 3 y = 4 mg\n", b";") == b"1;2\n3;4\n"
     assert rows.at_once(b"x = 1 y = 2 mg\ny = 4 mg\n", b";") is None
+    assert Pattern(("", " y = ", "")).at_once(b"1 y = 2\n3 y = 4\n", b";") == b"1;2\n3;4\n"
+    assert Pattern(("x = ", " y = ", "")).at_once(b"x = 1 y = 2\nx = 3 y = 4\n", b",") == b"1,2\n3,4\n"
+    assert Pattern(("", " g ", " g")).at_once(b"1 g 2 g\n", b";") == b"1;2\n"
     objects = Pattern((), ("a", "b"))
     assert objects.cells('{"b": 2, "a": 1}') == ["1", "2"]
     assert objects.cells('{"b": 2}') == ["", "2"]

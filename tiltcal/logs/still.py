@@ -216,7 +216,7 @@ def _choices(
     for multiple in MULTIPLES:
         spans = np.stack(run_bounds(scatter <= multiple * noise), axis=1)
         # Bounds that touch a window in motion are half a window inside; what is shorter than that is a turning point.
-        spans = spans[np.diff(spans)[:, 0] >= window // 2] + window // 2
+        spans = spans[np.ptp(spans, axis=1) >= window // 2] + window // 2
         # A span in which nothing changes is stuck; its first row need not repeat the row before it.
         spans = spans[changes[spans[:, 1] - 1] > changes[spans[:, 0]]]
         attitudes = tuple(

@@ -52,14 +52,16 @@ def seconds(days: Any) -> Array:
 
 def test_between_two_the_offset_lies_on_the_line_and_outside_the_nearest_holds(tmp_path: Path) -> None:
     """100 days, 10 counts: at 25 days 2.5 counts of 819; the row before and the row behind are flagged."""
-    library = tiltcal.open_calibrations(kept(tmp_path, calibrated(0, (1000, 1000)), calibrated(100, (1010, 1000))))
-    days = [-5.0, 0.0, 25.0, 99.99, 100.0, 130.0]
-    frame = {"time": seconds(days), "x": np.full(6, 1100.0), "y": np.full(6, 1000.0)}
+    records = [calibrated(*known) for known in ((0, (1000, 1000)), (100, (1010, 1000)), (140, (1030, 980)))]
+    library = tiltcal.open_calibrations(kept(tmp_path, *records))
+    days = [-5.0, 0.0, 25.0, 99.99, 100.0, 110.0, 140.0, 150.0]
+    frame = {"time": seconds(days), "x": np.full(8, 1100.0), "y": np.full(8, 1000.0)}
     found = library.apply(frame)
-    offset = np.array([1000.0, 1000.0, 1002.5, 1009.999, 1010.0, 1010.0])
+    offset = np.array([1000.0, 1000.0, 1002.5, 1009.999, 1010.0, 1015.0, 1030.0, 1030.0])
     assert found["g_x"] == pytest.approx((1100.0 - offset) / SCALE, abs=1e-9)
-    assert found["flag"].tolist() == [3, 1, 1, 1, 1, 3]
-    assert found["reason"].tolist() == [64, 0, 0, 0, 0, 64]
+    assert found["g_y"] == pytest.approx(np.array([0, 0, 0, 0, 0, 5.0, 20.0, 20.0]) / SCALE, abs=1e-9)
+    assert found["flag"].tolist() == [3, 1, 1, 1, 1, 1, 1, 3]
+    assert found["reason"].tolist() == [64, 0, 0, 0, 0, 0, 0, 64]
 
 
 def changed(record: CalibrationRecord, days: float, **coefficients: Any) -> CalibrationRecord:

@@ -57,15 +57,6 @@ def test_without_times_rows_are_suspect_and_a_remark_names_the_column(tmp_path):
     assert found["tilt_x"] == pytest.approx(applied(0.0, log)["tilt_x"])
 
 
-def test_a_row_without_a_time_is_suspect_and_a_missing_reading_has_no_other_reason():
-    time = SECONDS.copy()
-    time[7] = np.nan
-    found = lagging(LAG).apply({"t": time, **READINGS, "temperature": THERMOMETER}, columns={"time": "t"})
-    assert np.flatnonzero(found["reason"] == 16).tolist() == [7]
-    found = lagging(LAG).apply({"x": [1300.0, np.nan], "y": [900.0, 900.0], "temperature": [10.0, 10.0]})
-    assert (found["flag"].tolist(), found["reason"].tolist()) == ([3, 9], [16, 32])
-
-
 def plain(values):
     return {"t": values.temperature, "flag": np.ones(len(values)), "reason": np.zeros(len(values), np.uint16)}
 

@@ -1,4 +1,4 @@
-"""Times in the units of CF, in the spellings of UDUNITS."""
+"""Times in the units of CF, in the spellings of UDUNITS, and what is said of each column."""
 
 from datetime import UTC, datetime
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tiltcal.errors import InputError
-from tiltcal.logs.cf_attributes import in_seconds
+from tiltcal.logs.cf_attributes import describe, in_seconds
 
 
 def test_every_unit_of_time_is_counted_from_any_epoch() -> None:
@@ -49,3 +49,41 @@ def test_an_epoch_needs_no_leading_zeros() -> None:
 def test_what_counts_in_no_unit_or_from_no_moment_is_refused(unit: str, why: str) -> None:
     with pytest.raises(InputError, match=f"^deck.nc: .*{why}"):
         in_seconds(np.zeros(1), unit, "deck.nc")
+
+
+MEANINGS = {
+    "g_x": ("1", "share of gravity along x, up", "flag reason"),
+    "tilt_x": ("degree", "tilt of the x axis, positive where it points up", "flag reason u_tilt_x U95_tilt_x"),
+    "u_tilt_x": ("degree", "standard uncertainty of tilt_x", None),
+    "U95_tilt_x": ("degree", "half width of the 95 % interval of tilt_x", None),
+    "u_common_v_up": ("cm s-1", "standard uncertainty of v_up, common to all rows", None),
+    "u_random_pitch": ("degree", "standard uncertainty of pitch, random", None),
+    "pitch": ("degree", "pitch, positive where the x axis points up", "flag reason u_random_pitch"),
+    "roll": ("degree", "roll, positive where the y axis points up", "flag reason"),
+    "inclination": ("degree", "inclination of the z axis from the vertical", "flag reason"),
+    "heading": ("degree", "heading of the x axis, clockwise from north", "flag reason"),
+    "v_east": (None, "velocity, component east", "flag reason"),
+    "v_up": ("cm s-1", "velocity, component up", "flag reason u_common_v_up"),
+    "matched_a1_a2": ("m s-2", "matched sum of the pair a1_a2", "flag reason"),
+    "gradient": ("m s-2", "gradient signal", "flag reason"),
+    "gradient_sin": ("m s-2", "sin component of the gradient signal at twice the turning", "flag reason"),
+    "count": ("1", "number of rows of which each row is the mean", None),
+    "B-2_tilt_y": ("degree", "tilt of the y axis, positive where it points up, of B-2", "B-2_flag B-2_reason"),
+}
+
+
+def test_every_column_says_its_unit_its_meaning_and_its_companions() -> None:
+    added = (*MEANINGS, "flag", "reason", "B-2_flag", "B-2_reason")
+    for name, said in MEANINGS.items():
+        keys = ("units", "long_name", "ancillary_variables")
+        expected = {key: text for key, text in zip(keys, said, strict=True) if text is not None}
+        units = {"v_east": None, "v_up": "cm s-1"}
+        assert describe(name, added, {"units": "m s-2"}, units) == expected
+        assert describe(name, added, {"units": "m s-2", "coordinates": "s"}, units) == expected | {"coordinates": "s"}
+    for name, whose in (("flag", ""), ("B-2_reason", ", of B-2")):
+        found = describe(name, added, {})
+        codes = found.get("flag_values", found.get("flag_masks")).tolist()
+        assert len(codes) == len(found["flag_meanings"].split())
+        assert found["long_name"].endswith(f"quality flag{whose}" if whose else "quality flag of QARTOD")
+        assert codes == ([1, 2, 4, 8, 16, 32, 64, 128, 256] if whose else [1, 3, 4, 9])
+    assert describe("flag", added, {})["flag_meanings"] == "pass suspect fail missing"

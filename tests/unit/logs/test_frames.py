@@ -257,7 +257,6 @@ REFUSED: list[tuple[Any, dict[str, Any], str]] = [
         {},
         "column 'temperature' is in V, and temperatures in °C",
     ),
-    (READINGS, {"columns": "y=x"}, "x and y are one column, 'x'"),
     (pd.DataFrame([[1.0, 2.0]], columns=["x", "x"]), {}, "the frame: two columns have one name"),
     (pa.table([[1.0], [2.0]], names=["x", "x"]), {}, "the frame: two columns have one name"),
     ({}, {}, "there are no columns"),
@@ -279,7 +278,6 @@ REFUSED: list[tuple[Any, dict[str, Any], str]] = [
     (pl.DataFrame({**READINGS, "x": ["a", "b"]}), {}, r"column 'x' holds .*, not numbers"),
     ({**READINGS, "x": [1.0]}, {}, "differ in length"),
     ({"x": [], "y": []}, {}, "no rows"),
-    ({**READINGS, "g_x": [0.0, 0.0]}, {}, "column 'g_x' already"),
     *((frame, {}, "give a polars, pandas or pyarrow frame") for frame in (pl.LazyFrame(READINGS), 5, [1.0])),
 ]
 

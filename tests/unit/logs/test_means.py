@@ -163,17 +163,6 @@ def test_netcdf_of_means_keeps_what_it_states(cal: Calibration) -> None:
         assert found["u_common_tilt_x"].attrs["long_name"] == "standard uncertainty of tilt_x, common to all rows"
 
 
-def test_every_kind_of_frame_stays_its_kind(cal: Calibration) -> None:
-    log = rows(x=np.full(5, 2.6), who=np.array(list("abcde")))
-    frame = pl.DataFrame(log)
-    kinds = (log, frame, frame.to_pandas(), frame.to_arrow(), xarray.Dataset({k: ("row", v) for k, v in log.items()}))
-    for kind in kinds:
-        found = cal.apply(kind, average=2)
-        assert type(found) is type(kind)
-        assert [int(one) for one in found["count"]] == [2, 2, 1]
-        assert [str(one) for one in np.asarray(found["who"])] == ["a", "c", "e"]
-
-
 def test_the_time_of_a_csv_log_keeps_what_it_holds_in_columns_with_types() -> None:
     """As in Parquet and in means; numbers of 16 digits and more stay text."""
     dialect = Dialect(("time", "n"))

@@ -56,7 +56,9 @@ def test_times_that_show_no_pace(times: list[float], said: str) -> None:
 def test_times_in_iso_8601() -> None:
     seconds = [*range(40), *range(43, 70)]
     time = [f"2026-01-02T03:{4 + second // 60:02}:{second % 60:02}Z" for second in seconds]
-    found = tiltcal.noise({"time": time, "x": np.random.default_rng(1).normal(size=len(time))})
+    x = np.random.default_rng(1).normal(size=len(time))
+    assert tiltcal.noise({"x": x[:64]}, rate=1.0).channels["x"].count == 64
+    found = tiltcal.noise({"time": time, "x": x})
     assert found.pace == Pace(interval=pytest.approx(1.0), rows=67, gaps=1, lost=3)
 
 
@@ -118,3 +120,36 @@ def test_noise_is_told_in_whole_words() -> None:
         "y: no sum of white noise, flicker noise, random walk and drift follows its Allan deviation; a vibration may "
         "be in it, or a filter",
     ]
+    per = np.degrees(1.0 / 819.0)
+    of_x = {"samples": 1, "limit": "target", "samples_by_range": 18, "met": True}
+    of_x |= {
+        "uncertainty": pytest.approx(0.0375, rel=1e-3),
+        "uncertainty_degrees": pytest.approx(0.0375 * per, rel=1e-3),
+    }
+    of_y = {
+        "samples": 256,
+        "limit": "record",
+        "samples_by_range": 100,
+        "met": None,
+        "uncertainty": pytest.approx(0.05625),
+    }
+    advice = {"samples": 256, "seconds": 2.56, "channel": "y", "limit": "record", "target_degrees": 0.05, "met": True}
+    told = found.as_data()
+    x, y = (told["channels"].pop(name) for name in "xy")
+    tau, sizes = 0.01 * 2.0 ** np.arange(9), 0.6 / np.sqrt([1.0, 10.0, 100.0 / 2.25])
+    allan = np.stack([tau, 0.06 / np.sqrt(tau), 0.054 / np.sqrt(tau), 0.072 / np.sqrt(tau), np.full(9, 40.0)], axis=1)
+    assert np.array([[*row.values()] for row in x.pop("allan")]) == pytest.approx(allan)
+    assert [row["std_degrees"] for row in x["averages"]] == pytest.approx(sizes * per)
+    assert [row["averages"] for row in x.pop("averages")] == [5000, 500, 50]
+    lowest = {"reached": False, "tau": 2.56, "deviation": 0.0375, "deviation_degrees": 0.0375 * per}
+    assert x.pop("bias_instability") == pytest.approx(lowest | {"coefficient": 0.0375 * np.sqrt(np.pi / np.log(4.0))})
+    assert (x.pop("noise_density"), x.pop("rounding")) == ({"value": 0.06 * 2.0**0.5}, found.channels["x"].rounding)
+    none = dict.fromkeys(("flicker", "bias_random_walk", "drift"))
+    assert x == {"mean": 1024.0, "samples": 5000, "step": 1.0, "velocity_random_walk": {"value": 0.06}} | none
+    assert [y[name] for name in ("step", *none)] == [None, {"value": 0.02}, {"value": 0.03}, {"value": 0.04}]
+    assert told == {
+        "samples": 5000, "interval": 0.01, "seconds": 50.03, "gaps": {"count": 1, "rows": 3}, "missing": {"y": 2},
+        "bad_rows": 1, "moved": [[1.0, 2.5], [4.0, 4.2]], "hung": [5.0, 6.0], "remarks": found.remarks, "unit": "count",
+        "sensitivity": {"source": "nominal sensitivity of sca100t-d02", "x": 819.0}, "channels": {},
+        "recommendation": advice | {"channels": {"x": of_x, "y": of_y}},
+    }  # fmt: skip

@@ -130,6 +130,7 @@ def test_what_speaks_against_a_stated_unit() -> None:
     for length, unit, said in (
         (1.14, "g", None),
         (0.86, "g", None),
+        (9.0, "m/s2", None),
         (9.81, "g", "at rest the readings are 9.81 g long, and gravity is 1 g: the unit is probably m/s2"),
         (1.17, "g", "at rest the readings are 1.17 g long, and gravity is 1 g: is this the unit?"),
         (4.0, "m/s2", "at rest the readings are 4 m/s2 long, and gravity is 9.80665 m/s2: is this the unit?"),

@@ -84,6 +84,9 @@ REFUSED: dict[str, Callable[[], Any]] = {
     "the frame: column 'theta' is in rad, and stage angles in degree: convert the readings": lambda: tiltcal.match(
         DISK, [("a", "b", "c")], phase="theta"
     ),
+    "a and b with the orthogonal a: a pair is of three different columns": lambda: tiltcal.match(
+        DISK, [("a", "b", "a")]
+    ),
     "the frame: column 'a' has no value in any row: is a connected?": lambda: tiltcal.match(
         {"t": np.arange(900.0), "a": [np.nan] * 900, "b": np.ones(900), "c": np.ones(900)},
         [("a", "b", "c")],
