@@ -37,25 +37,6 @@ from xml.etree import ElementTree
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-PARTS = (
-    "tiltcal",
-    "drivers",
-    "procedures",
-    "firmware",
-    "tests",
-    "fixtures",
-    "docs",
-    "examples",
-    "pyproject.toml",
-    "README.md",
-    "CITATION.cff",
-    "CONTRIBUTING.md",
-    "CHANGELOG.md",
-    "LICENSE",
-    "Makefile",
-    "constraints.txt",
-    "benchmarks",
-)
 PYTEST = (sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider")
 
 FAILED = "failed.txt"
@@ -219,11 +200,13 @@ def function_of(text: str, line: int) -> tuple[int, int]:
 def copied(root: Path, folder: str) -> dict[str, str]:
     """Copy what the tests need; return the environment in which they run on the copy."""
     ignored = shutil.ignore_patterns("__pycache__", "build")
-    for part in PARTS:
+    command = ["git", "ls-files"]
+    listed = subprocess.run(command, cwd=root, capture_output=True, text=True, check=True).stdout.split("\n")
+    for part in {path.partition("/")[0] for path in listed if path}:
         source, goal = root / part, Path(folder, part)
         if source.is_dir():
             shutil.copytree(source, goal, symlinks=True, ignore=ignored)
-        elif source.exists():
+        else:
             shutil.copy(source, goal)
     kept = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
     return {**kept, "PYTHONPATH": folder}
