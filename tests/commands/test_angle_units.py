@@ -75,6 +75,10 @@ def test_no_error_is_added(procedure: str, angles: str, unit: str, tmp_path: Pat
     per_degree = 17.4533 if unit == "mrad" else 1.0
     assert again.sensitivity["x", "x"] == pytest.approx(1.01 * per_degree * cos(radians(1.5)), rel=1e-4)
     assert max(largest_error(cal, unit, angles), largest_error(again, unit, angles)) < 0.003
+    module: dict[str, Any] = {}
+    exec(run("export", "a.yaml", "--to", "python", cwd=tmp_path, code=0).stdout, module)
+    found = [module["degrees"](row) for row in device(GRID, unit, angles).tolist()]
+    assert np.array(found) == pytest.approx(np.degrees(np.arcsin(GRID[:, :2])), abs=0.003)
 
 
 @pytest.mark.parametrize("unit", PRINTS)

@@ -26,9 +26,9 @@ from support.export_study import (
 
 from tiltcal import __version__
 from tiltcal.core.compensation import Compensation
-from tiltcal.core.model import Array, Coefficients, Thermal
+from tiltcal.core.model import Array, Coefficients, Limits, Mounting, Thermal
 from tiltcal.core.thermal_lag import ThermalLag
-from tiltcal.export.loss import largest_error
+from tiltcal.export.loss import calibrated_range, largest_error
 from tiltcal.export.targets import TARGETS, Source, exported, terms
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
 from tiltcal.files.coefficients import Covariance, Uncertainty
@@ -57,6 +57,35 @@ def test_the_bound_is_never_exceeded_and_never_far_from_the_error(target: str) -
         else:
             shares.append(found / bound)
     assert shares == [] or 0.7 < np.median(shares) < 1.0
+
+
+@pytest.mark.parametrize("roll", [0.0, np.pi])
+def test_the_attitudes_that_are_tried_cover_the_range(roll: float) -> None:
+    """4000 directions on a sphere, 65 angles of each channel, nine temperatures."""
+    random, three = np.random.default_rng(2), three_axes("g").coefficients
+    up, celsius = calibrated_range(three, Limits(temperature=(20.0, 25.0)))
+    assert np.unique(celsius) == pytest.approx(np.linspace(24.0, 25.0, 9))
+    assert len(np.unique(np.column_stack([up, celsius]), axis=0)) == len(up) == 9 * 4006
+    assert np.linalg.norm(up, axis=1) == pytest.approx(np.ones(len(up)))
+    assert up.T @ up / len(up) == pytest.approx(np.eye(3) / 3.0, abs=1e-3)
+    anywhere = random.normal(size=(300, 3))
+    nearest = np.max(anywhere / np.linalg.norm(anywhere, axis=1)[:, None] @ up[::9].T, axis=1)
+    assert np.degrees(np.arccos(nearest.min())) < 2.5
+    tilts = np.arcsin(calibrated_range(three, Limits(tilt={"x": (-0.5, 0.3)}))[0])
+    found = [*tilts.min(axis=0), *tilts.max(axis=0)]
+    assert found == pytest.approx([-0.5, -np.pi / 2, -np.pi / 2, 0.3, np.pi / 2, np.pi / 2], abs=0.03)
+    limits = Limits(tilt={"x": (-0.5, 0.3), "y": (-0.2, 0.9)})
+    for channels, numbers in (("x", (65, 1)), ("xy", (65, 65)), ("yx", (65, 65))):
+        two = replace(ideal(channels, 1.0).coefficients, mounting=Mounting(roll) if len(channels) == 2 else None)
+        up, celsius = calibrated_range(two, limits)
+        tilts = np.arcsin(up[:, :2])
+        for axis, (low, high), number in zip(range(2), limits.tilt.values(), numbers, strict=True):
+            whole = np.linspace(low, high, number) if number > 1 else [0.0]
+            assert np.unique(tilts[:, axis].round(9)) == pytest.approx(whole, abs=1e-8)
+        assert set(celsius) == {25.0}
+        assert up[:, 2] == pytest.approx(
+            np.sqrt(1.0 - up[:, 0] ** 2 - up[:, 1] ** 2) * (-1.0 if two.mounting and roll else 1.0)
+        )
 
 
 @compiling
@@ -195,7 +224,8 @@ def test_ros_corrects_by_the_formula_of_imu_calib_and_states_the_covariance(
     """``SM * raw - bias``: imu_calib, accel_calib.cpp; level, x reads offset.x + sensitivity.x.z."""
     gravity = stated or G
     covariance = Covariance(parameters=("offset.x", "sensitivity.x.z"), matrix=((4e-4, 1e-4), (1e-4, 9e-4)))
-    uncertainty = Uncertainty(single_reading={"x": 0.03, "y": 0.04, "z": 0.05}, covariance=covariance)
+    noise = {"x": 0.03, "y": 0.04} | ({"z": 0.05} if stated else {})
+    uncertainty = Uncertainty(single_reading=noise, covariance=covariance)
     record = replace(three_axes("m/s2"), uncertainty=uncertainty, derived=DerivedRecord(gravity_m_s2=stated))
     record = replace(record, provenance=Provenance(ended="2026-05-01T12:00:00Z"))
     text = export(tmp_path, replace(record, sensor=record.sensor.replaced(serial="µ*/1")), "ros")
@@ -205,7 +235,7 @@ def test_ros_corrects_by_the_formula_of_imu_calib_and_states_the_covariance(
     corrected = record.coefficients.predict(directions()) @ np.array(file["SM"]).reshape(3, 3).T - file["bias"]
     assert corrected == pytest.approx(directions() * gravity, abs=1e-6)
     inverse = np.linalg.inv(record.coefficients.sensitivity) * gravity
-    total = np.diag([0.03**2 + 4e-4 + 9e-4 + 2e-4, 0.04**2, 0.05**2])
+    total = np.diag([0.03**2 + 4e-4 + 9e-4 + 2e-4, 0.04**2, 0.05**2 if stated else 0.0])
     found = np.array(file["linear_acceleration_covariance"]).reshape(3, 3)
     assert found == pytest.approx(inverse @ total @ inverse.T, rel=1e-6)
 
@@ -320,6 +350,7 @@ def test_python_holds_all_and_needs_no_numpy() -> None:
     for seed in range(20):
         record = random_calibration(seed, reach=0.7)
         exports = {target: exported(Source(record, record.limits), target) for target in ("python", "json")}
+        offset = record.coefficients.offset
         assert all(one.bound < 0.001 and not one.left_out for one in exports.values())
         assert re.findall(r"import \w+", exports["python"].text) == ["import math"]
         namespace: dict[str, object] = {}
@@ -328,6 +359,11 @@ def test_python_holds_all_and_needs_no_numpy() -> None:
         found = [namespace["g"](*row) for row in zip(u.tolist(), celsius.tolist(), strict=True)]  # type: ignore[operator]
         true = Compensation(record.coefficients, record.limits)(u, celsius).gravity
         assert np.array(found) == pytest.approx(np.array(true), abs=1e-9)
+        u = np.concatenate([offset + length * (u - offset) for length in (0.3, 0.6, 1.0, 1.9, 2.3)])
+        angles = [namespace["degrees"](*row) for row in zip(u.tolist(), np.tile(celsius, 5).tolist(), strict=True)]  # type: ignore[operator]
+        true = Compensation(record.coefficients)(u, np.tile(celsius, 5)).tilt
+        assert np.array(angles) == pytest.approx(np.array(true), abs=1e-6, nan_ok=True)
+        assert exports["json"].text.startswith('{\n "A": [')
         data = json.loads(exports["json"].text)
         assert {
             name: namespace[name]

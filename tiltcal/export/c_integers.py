@@ -54,7 +54,7 @@ class Integers:
         reach = float(np.max(largest + np.abs(affine.offset))) * per_unit
         signal_bits = max(0, _SIGNAL_BITS - ceil(log2(reach)))
         scaled = affine.matrix * 1e6 / per_unit
-        matrix_bits = max(0, _MATRIX_BITS - ceil(log2(np.abs(scaled).max())))
+        matrix_bits = _MATRIX_BITS - ceil(log2(np.abs(scaled).max()))
         powers = [(2.0**_STEP_BITS / 100.0) ** np.arange(1, one.shape[1] + 1) for one in (thermal.drift, thermal.gain)]
         terms = np.column_stack([affine.offset, thermal.drift * powers[0]]) * per_unit * 2.0**signal_bits
         gains = thermal.gain * powers[1] * 2.0**_GAIN_BITS
@@ -68,9 +68,8 @@ class Integers:
         u = np.rint(readings * self.per_unit).astype(np.int64)
         dt = np.rint(temperature * 100.0).astype(np.int64) - self.reference
         signal = (u << self.signal_bits) - np.column_stack([_horner(row[1:], dt) + row[0] for row in self.offset])
-        if self.gain.shape[1]:
-            gain = np.column_stack([_horner(row, dt) for row in self.gain])
-            signal = _quotient(signal << _GAIN_BITS, (1 << _GAIN_BITS) + gain)
+        gain = np.column_stack([_horner(row, dt) for row in self.gain])
+        signal = _quotient(signal << _GAIN_BITS, (1 << _GAIN_BITS) + gain)
         return np.asarray(_shifted(signal @ self.matrix.T, self.signal_bits + self.matrix_bits) * 1e-6)
 
     def lines(self, name: str) -> Iterator[str]:
@@ -93,7 +92,7 @@ class Integers:
             yield f"    int64_t v{k} = (int64_t)u[{k}] * (INT64_C(1) << {self.signal_bits}) - {_integer(row[0])};"
             if row[1:].any():
                 yield f"    v{k} -= {_integer_polynomial(row[1:], name)};"
-            if self.gain.shape[1] and self.gain[k].any():
+            if self.gain[k].any():
                 one = f"(INT64_C(1) << {_GAIN_BITS})"
                 yield f"    v{k} = v{k} * {one} / ({one} + {_integer_polynomial(self.gain[k], name)});"
         bits = self.signal_bits + self.matrix_bits

@@ -112,7 +112,7 @@ def numbers(coefficients: Coefficients) -> Mapping[str, Any]:
     rotation = np.eye(axes) if compensation.rotation is None else compensation.rotation
     angles = coefficients.angles
     sizes = [] if angles is None else np.linalg.norm(coefficients.sensitivity, axis=1).tolist()
-    rolls = angles is not None and angles.euler and coefficients.channels in (("x", "y"), ("y", "x"))
+    rolls = angles is not None and angles.euler and len(coefficients.channels) == 2
     return {
         "size": sizes,
         "slope": 0.0 if angles is None else angles.slope,
