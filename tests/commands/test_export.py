@@ -175,6 +175,8 @@ def test_integers_compute_the_same(unit: str, tmp_path: Path) -> None:
     read = np.column_stack([200.0 + k % 1649, 1900.0 - (7 * k) % 1699]) * (1e-6 if unit == "V" else 1.0)
     expected = np.array(Compensation(record.coefficients)(read, k % 40 * 1.0).gravity)
     assert np.abs(computed - expected).max() < 3e-6
+    foreseen = TARGETS["c-fixed"](Source(record, record.limits)).formula(read, k % 40 * 1.0)
+    assert (np.rint(foreseen * 1e6) == np.rint(computed * 1e6)).all()
 
 
 def directions() -> Array:
