@@ -18,6 +18,7 @@ from tiltcal.bench import messages
 from tiltcal.bench.guidance import COLUMNS, UNCALIBRATED, SensorGuidance, note_on
 from tiltcal.bench.operators import LOOK, LineReader, Operator, in_words
 from tiltcal.bench.screen import Screen
+from tiltcal.bench.traces import Traces
 from tiltcal.bench.typed import number_in
 from tiltcal.errors import InputError, Stopped
 
@@ -153,6 +154,7 @@ class Terminal(Screen, Operator):
         super().__init__(console, live=live)
         self._keys = keys
         self.watches = live
+        self._traces = Traces()
         self._positions: Sequence[str] = []
         self._sensors: Mapping[str, messages.ShownSensor] = {}
         self._remaining = ""
@@ -329,7 +331,9 @@ class Terminal(Screen, Operator):
             targets = asked
             rows.append(self._fitting(f"{serial:<{width}}  {cells}".rstrip(), warmth, f"{raw} {unit}"))
         note = look.why or f"live, {note_on([reading.guidance for reading in readings.values()])}"
-        self._overwrite([*rows, note])
+        self._traces.add(next(iter(readings.values())).guidance.up if len(readings) == 1 else None)
+        rows.append(self._fitting(note, self._traces.within(self._console.width - len(note) - 5)))
+        self._overwrite(rows)
 
     def _typed(self, what: str, kind: str, count: int = 1) -> list[float]:
         """Ask until as many numbers of a kind are typed; none where the line is empty."""

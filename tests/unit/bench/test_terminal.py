@@ -16,6 +16,7 @@ from tiltcal.bench import messages as m
 from tiltcal.bench.guidance import AxisTilt, Difference, SensorGuidance
 from tiltcal.bench.operators import understood
 from tiltcal.bench.terminal import ENTER, LIVE_PAUSE, LineKeys, Terminal, TerminalKeys
+from tiltcal.bench.traces import Traces
 from tiltcal.errors import InputError, Stopped
 
 LEVEL = m.PositionQuestion(
@@ -272,6 +273,14 @@ def test_what_a_person_is_shown_and_answers(said: Any, keys: str, lines: list[st
     assert screen.getvalue() == shown
 
 
+@pytest.mark.parametrize("width", [30, 80])
+def test_no_number_of_a_review_is_cut_off(width: int) -> None:
+    operator = terminal(shown := io.StringIO(), ENTER, width=width)
+    assert operator.ask(m.Review("level", {"S-1": MEASURED})) == {"answer": "accept"}
+    assert shown.getvalue().split() == ["A", "title", *(TABLE + ACCEPT).split()]
+    assert all(len(line) <= width for line in shown.getvalue().splitlines())
+
+
 def test_a_live_reading_is_shown_until_a_key_is_pressed() -> None:
     """The session takes one each time that the answer is a look; what was typed before is kept, and a refusal rings."""
     operator = terminal(shown := io.StringIO(), [None, None, "a", None, ENTER], "1.5", "", live=True)
@@ -326,6 +335,29 @@ def test_six_sensors_are_shown_below_their_targets_as_far_as_there_is_room(
     operator.tell(m.Held("a gap"))
     cleared = "\r\x1b[2K" + "\x1b[1A\r\x1b[2K" * (len(rows) - 1)
     assert shown.getvalue() == f"{cleared}  S-2 is dropped, the others continue: silent\n  held: a gap\n"
+
+
+@pytest.mark.parametrize(
+    ("width", "traces"),
+    [(80, "  x ▄▄█▄▄▄  y ▄▄▄▄▄▄  z ▄▄▄▄▄▄"), (68, "  x ▄▄█▄▄▄  y ▄▄▄▄▄▄  z ▄▄▄▄▄▄"), (67, "")],
+)
+def test_a_loose_wire_jumps_in_the_traces_of_one_sensor(width: int, traces: str) -> None:
+    operator = terminal(shown := io.StringIO(), ENTER, width=width, live=True)
+    for x in (0.0, None, 0.0, 0.5, 0.0, 0.0, 0.0):
+        one = SensorGuidance({}, {}, up=None if x is None else (x, 0.0, 1.0))
+        operator.tell(m.Look("level", "", {"S-1": m.ShownReading({"x": 0.0, "y": 0.0}, None, one)}))
+    assert shown.getvalue().endswith(f"\n  live, angles are not calibrated yet{traces}")
+
+
+def test_a_bar_shows_the_farthest_of_its_part_from_the_median() -> None:
+    """Of 64 directions the last 60; 16 bars at most, of which one spans a degree at least."""
+    traces = Traces()
+    for n in range(64):
+        traces.add((1.0 if n == 3 else 0.004 * (n == 30) - 0.006 * (n == 31), 0.01 * (n == 63), -0.5 * (n < 12)))
+    x, y, z = "▄▄▄▄▄▄▄▂▄▄▄▄▄▄▄▄", "▄▄▄▄▄▄▄▄▄▄▄▄▄▄▄█", "▁▁▁▄▄▄▄▄▄▄▄▄▄▄▄▄"
+    assert traces.within(200) == traces.within(58) == f"x {x}  y {y}  z {z}"
+    assert len(traces.within(57)) == 55
+    assert (len(traces.within(28)), traces.within(27)) == (28, "")
 
 
 def test_no_escape_sequence_and_no_markup_of_a_file_reaches_the_terminal() -> None:
