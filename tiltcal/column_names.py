@@ -10,7 +10,6 @@ from tiltcal.units import split_unit
 
 AXES = ("x", "y", "z")
 TIME, TEMPERATURE = "time", "temperature"
-LONGEST_NAME = 200  # characters of a name that means something
 
 _CLOCKS = (
     "time", "t", "seconds_elapsed", "timestamp", "datetime", "date time", "date/time", "utc time", "epoch", "epoc",
@@ -40,8 +39,6 @@ _OTHER_QUANTITY = re.compile(
 def meaning(name: str) -> str:
     """Return the role that the name of a column means, without its unit: an axis, time, temperature; else nothing."""
     name = name.strip()
-    if len(name) > LONGEST_NAME:
-        return ""
     if name.lower() in _CLOCKS:
         return TIME
     if _THERMOMETER.fullmatch(name):

@@ -35,8 +35,7 @@ from tiltcal.units import is_unit
 
 HEAD_LINES = 200  # lines in which the table must begin
 SEPARATORS = (",", ";", "\t", "|", " ")  # of the fields of a row, the likeliest first; a blank stands for several
-LONGEST_PATTERN = 2000  # characters of a line with labels
-FEW = 20  # lines of which all show how rows are written, not the later half of them
+FEW_LINES = 20  # lines of which all show how rows are written, not the later half of them
 OPEN_DATE = re.compile(r"(\d{1,2})[-/](\d{1,2})[-/](?:\d{4}|\d\d)(?!\d)")
 _ARRAY = re.compile(r"\s*\[\s*\{")
 _THOUSANDS, _WITH_POINT = re.compile(r"[-+]?\d{1,3}(?:,\d{3})+"), re.compile(r"[-+]?\d*\.\d+")
@@ -94,7 +93,7 @@ def dialect_of(lines: Sequence[str]) -> Dialect:
     filled = [row for row, line in enumerate(lines) if line.strip()]
     if filled and _ARRAY.match("".join(lines[filled[0] :])):
         raise ValueError("a JSON array, which jq -c '.[]' writes as one object a line")
-    later = filled[len(filled) // 2 if len(filled) > FEW else 0 :]  # the table is the last of the head
+    later = filled[len(filled) // 2 if len(filled) > FEW_LINES else 0 :]  # the table is the last of the head
     fronts = [without_clock(lines[row])[0] for row in later]
     has_clock = sum(map(bool, fronts)) > len(fronts) / 2
     bodies = [without_clock(line)[1] if has_clock else line for line in lines]
@@ -118,8 +117,6 @@ def _pattern_of(lines: Sequence[str], later: Sequence[int]) -> Dialect | None:
     shapes: dict[tuple[str, ...], list[int]] = {}
     for row in later:
         line = lines[row].strip()
-        if len(line) > LONGEST_PATTERN:
-            continue
         texts, numbers = printed(line)
         keys = _keys(line)
         framed = any(map(LABEL.search, texts[:-1])) or texts[0].strip() in ("[", "(", "<", "{")

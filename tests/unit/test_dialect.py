@@ -80,7 +80,7 @@ def test_fields_sums_patterns_and_objects() -> None:
 
 
 def test_the_encoding_of_text_without_a_mark() -> None:
-    """One byte that is damaged among several characters of UTF-8, and none among one; a wide one by its zeros."""
+    """One byte that is damaged among several characters of UTF-8, and none among one."""
     for data, encoding in (
         (b"x,y\n1,2\n", "utf-8"),
         ("°,µ,²".encode() + b"\xb0", "utf-8"),

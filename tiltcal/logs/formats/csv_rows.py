@@ -156,9 +156,8 @@ class RowGrammar:
         torn = []
         for row in last:
             cell = (odd[row] if row in odd else rows[row].to_list())[-1:]
-            if "\0" in lines[row]:
-                continue
-            if counts[row] < len(names) or (row not in faults and is_cut(self.dialect.with_point(cell[0]))):
+            short = counts[row] < len(names) or (row not in faults and is_cut(self.dialect.with_point(cell[0])))
+            if short and "\0" not in lines[row]:
                 faults[row] = "the row is cut short"
                 torn.append(row)
 

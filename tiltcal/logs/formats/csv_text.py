@@ -13,7 +13,6 @@ from tiltcal.logs.log import LogSource
 
 _TOP = 1 << 16  # bytes in which the dialect is looked for
 _LONGEST_ROW = 16 << 20
-_UTF16 = ("utf-16-le", "utf-16-be")
 
 
 class CsvText:
@@ -108,9 +107,9 @@ class CsvText:
         while (len(data) < _TOP or data.count(b"\n") < 2) and (more := self._read()):
             if not data:
                 refuse_binary(more, self._source.name)
-                if (encoding := _wide(more)) is not None:
-                    self._decoder = getincrementaldecoder(encoding)("replace")
-                    more = self._decoder.decode(more).removeprefix("\ufeff").encode(errors="replace")
+                if more.startswith((BOM_UTF16_LE, BOM_UTF16_BE)):
+                    self._decoder = getincrementaldecoder("utf-16")("replace")
+                    more = self._decoder.decode(more).encode(errors="replace")
             data += more
             pending = data[data.rfind(b"\n") + 1 :]
             if len(pending) > _LONGEST_ROW:
@@ -138,12 +137,3 @@ def charset_of(head: bytes) -> str:
         beyond = sum(character > "\x7f" for character in text)
         return "utf-8" if beyond > 2 * text.count("\ufffd") else "cp1252"
     return "utf-8"
-
-
-def _wide(data: bytes) -> str | None:
-    """Return which UTF-16 data are in, by their mark or by the zeros in every other byte; None where in none."""
-    if data.startswith((BOM_UTF16_LE, BOM_UTF16_BE)):
-        return _UTF16[data.startswith(BOM_UTF16_BE)]
-    some = data[: 1 << 10]
-    low, high = some[1::2].count(0), some[::2].count(0)
-    return _UTF16[high > low] if len(some) > 3 and max(low, high) > len(some) // 4 > min(low, high) * 8 else None

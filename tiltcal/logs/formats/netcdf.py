@@ -29,8 +29,7 @@ from tiltcal.logs.frames import DatasetFrame, FrameReader
 from tiltcal.logs.log import NO_ROWS, LogBlock, LogSource, LogWriter, Table
 from tiltcal.logs.streams import refusing
 
-_ROWS, _MOST_ROWS = 1 << 16, 1 << 21
-"""Of a block: as many, or as a chunk of the file holds, which is unpacked as a whole, and how many at most."""
+_ROWS = 1 << 16  # of a block: as many, or as a chunk of the file holds, which is unpacked as a whole
 
 _CLASSIC = b"CDF"
 
@@ -68,7 +67,7 @@ class NetcdfReader(FrameReader):
         dimension = self.dimension(columns)
         chunks = [self.data[self.names[index]].encoding.get("chunksizes") or (1,) for index in columns]
         longest = max(int(chunk[0]) for chunk in chunks)
-        total, step = self.data.sizes[dimension], min(-(-_ROWS // longest) * longest, _MOST_ROWS)
+        total, step = self.data.sizes[dimension], -(-_ROWS // longest) * longest
         if not total:
             raise InputError(NO_ROWS, file=self.name)
         for start in range(0, total, step):

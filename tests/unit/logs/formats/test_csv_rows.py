@@ -161,6 +161,21 @@ class TestText:
             found = b"".join(line + end for line in (door.header, *rows))
             assert found == (content.decode("latin-1").encode() if content in latin else content)
 
+    @pytest.mark.parametrize("block", [1, 7, 1 << 20])
+    def test_utf_16_has_a_mark(self, block: int) -> None:
+        for encoding, mark in (("utf-16-le", b"\xff\xfe"), ("utf-16-be", b"\xfe\xff")):
+            door = log(mark + "time,x,y°\r\n1,2,3\n4,5,6".encode(encoding), block=max(block, 2))
+            found = [
+                (value, line) for rows in door.rows([1]) for value, line in zip(rows.values[1], rows.lines, strict=True)
+            ]
+            assert (door.names, door.text.encoding, found) == (
+                ("time", "x", "y°"),
+                "UTF-16",
+                [(2.0, "1,2,3"), (5.0, "4,5,6")],
+            )
+        with pytest.raises(InputError, match="this is no CSV text: save the log as CSV in UTF-8"):
+            log("time,x,y\n1,2,3\n".encode("utf-16-le"))
+
     def test_a_byte_order_mark_belongs_to_no_name(self) -> None:
         door = log(b"\xef\xbb\xbftime,x,y\n1,2,3\n")
         assert door.names == NAMES
@@ -176,7 +191,10 @@ class TestHeader:
             (b"\xef\xbb\xbf", "night.csv: the log is empty"),
             (b"time,x,y", "night.csv:2: the log has a header and no rows"),
             (b"time,x,y\n\n\n", "night.csv:4: the log has a header and no rows"),
-            (b"time,x,x\n1,2,3\n", "night.csv:1: the header names column 'x' twice: rename one of them"),
+            (
+                b"a night\ntime,x,x\n1,2,3\n4,5,6\n",
+                "night.csv:2: the header names column 'x' twice: rename one of them",
+            ),
             (b"x\0,y\n1,2\n", "night.csv:1: this is no CSV text: save the log as CSV in UTF-8"),
             (b"time,x,y\r1,2,3\r", "night.csv:1: the lines end in CR alone: save the log with LF or CRLF"),
         ],
@@ -302,7 +320,7 @@ def test_a_first_line_of_numbers_is_a_row() -> None:
         "7,,1030": 3,  # a first row may lack a cell
     }
     for line in (*headers, *counted):
-        assert dialect_of(line.splitlines()).has_header, line
+        assert (dialect_of(line.splitlines()).has_header, dialect_of(line.splitlines()).first) == (True, 1), line
     for line, columns in rows.items():
         assert not dialect_of(line.splitlines()).has_header, line
         assert dialect_of(line.splitlines()).names == tuple(str(1 + k) for k in range(columns))
