@@ -8,30 +8,12 @@ import pytest
 from support import FIXTURES, ROOT
 from support.command import tiltcal
 
-PLANE = (FIXTURES / "plane.yaml").read_text(encoding="utf-8")
-
 
 def check(folder: Path, name: str, text: str) -> tuple[int, str]:
     (folder / name).write_text(text, encoding="utf-8")
     result = tiltcal("check", name, cwd=folder)
     assert "Traceback" not in result.stderr
     return result.returncode, result.stderr
-
-
-def test_wrong_records_are_named(tmp_path: Path) -> None:
-    for old, new, says in (
-        ("degrees_of_freedom: 2", "chi_square: x", "fit.chi_square: a number is needed here"),
-        ("degrees_of_freedom: 2", "degrees_of_freedom: many", "fit.degrees_of_freedom: a whole number is needed here"),
-        ("degrees_of_freedom: 2", "chi_square: 3.0", ""),
-        ("  journal: {", "  journal: x\n  log: {", "provenance.journal: a mapping is needed here"),
-        ("  journal: {name: plane.journal.jsonl", "  journal: {name: [plane]", "provenance.journal.name: text"),
-        ("  journal: {name: plane.journal.jsonl", f"  journal: {{name: {'a' * 300}", ""),
-        ("  journal: {name: plane.journal.jsonl", '  journal: {name: "a\\0b"', "control character '\\x00'"),
-        ('  ended: "2000', '  ended: "2000-13', "is no date: write it as"),
-    ):
-        assert old in PLANE
-        code, said = check(tmp_path, "plane.yaml", PLANE.replace(old, new, 1))
-        assert (code, says in said) == (2 if says else 0, True), (new, said)
 
 
 def test_a_wrong_file_does_not_hide_the_others(tmp_path: Path) -> None:
@@ -54,10 +36,6 @@ def test_a_schema_is_printed_without_files_alone() -> None:
     assert shown == json.dumps(told, indent=2) + "\n"
 
 
-CHAMBER = (
-    'chamber: {kind: modbus, address: "modbus:tcp://127.0.0.1:502", limits: {}, tolerance: 0.5, '
-    'registers: {temperature: {set: "100", read: "200"}}}'
-)
 BENCH = """tiltcal: 1
 kind: bench
 jig: 0.1
@@ -73,10 +51,6 @@ def test_wrong_bench_files_are_named(tmp_path: Path) -> None:
         (sensor, sensor.replace("d02", "d2"), ":6: sensors[0]: no sensor"),
         (sensor, sensor.replace("sim:", "smi:"), ":6: sensors[0]: address"),
         ("thermometer: {model: sca100t-d02", "thermometer: {model: scb", ":4: thermometer: no sensor model"),
-        ("0.1", "0,1", ":3: jig: a number is needed here, found '0,1'; write the point as '.'"),
-        ("0.1", "0.1°", ":3: jig: a number is needed here, found '0.1°'; write the number alone"),
-        ("jig: 0.1", f"jig: 0.1\n{CHAMBER}", ":4: chamber.limits: name at least one key here"),
-        ("0.1", "0.1 deg", ":3: jig: a number is needed here, found '0.1 deg'; write the number alone"),
     ):
         assert BENCH.count(old) == 1
         code, said = check(tmp_path, "bench.yaml", BENCH.replace(old, new))
@@ -102,10 +76,7 @@ OTHERS = "fit.residuals.x-tilt3, fit.residuals.x-tilt2, procedure.set.x-tilt3, p
         ("plane", '"y": 11.2,', '"y": 131.3,', "the coefficients"),
         ("plane", "offset: {x: 1023", "offset: {x: 1000", "the coefficients"),
         ("plane", 'sha256: "', 'sha256: "0', "provenance.journal.sha256"),
-        ("plane", "serial: SIM-42, unit", "serial: SIM-43, unit", "sensor.serial"),
         ("plane", "tilt: {x: [-30.040483, 30.040483]", "tilt: {x: [-89, 89]", "limits.tilt.x[0], limits.tilt.x[1]"),
-        ("plane", "operator: sim", "operator: me", "provenance.operator"),
-        ("plane", "single_reading: {x: 0.6688,", "single_reading: {x: 0.6620,", "uncertainty.single_reading.x"),
         ("plane", "-309.81124", "-209.81124", f"{MATRIX}[6][9], {MATRIX}[9][6]"),
         ("plane", "2000-01-01T00:", "2001-01-01T00:", f"{PLACES}, provenance.started and 1 more"),
         ("plane", "x-tilt2", "x-tilt3", f"{OTHERS}, positions[1].position"),

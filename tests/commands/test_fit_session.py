@@ -122,13 +122,6 @@ def test_means_of_free_positions_need_no_names(header: str, separator: str, tmp_
         assert "if each row is the mean of one position, say --table" in asked.stderr
 
 
-def test_a_table_may_have_semicolons_and_decimal_commas(tmp_path: Path) -> None:
-    rows = "x-tilt1;3,5117;2,5210\nx-tilt2;1,5083;2,5000\ny-tilt1;2,4903;3,5083\ny-tilt2;2,5303;1,5123\n"
-    (tmp_path / "t.csv").write_text("position;x;y\n" + rows)
-    calibration, _ = fitted(tmp_path, "plane", "t.csv", "--table", "--unit", "V", "--jig", "0.1")
-    assert calibration.offset["x"] == pytest.approx((3.5117 + 1.5083 + 2.4903 + 2.5303) / 4, abs=1e-3)
-
-
 def test_faces_taken_twice_are_told_apart_from_different_attitudes(tmp_path: Path) -> None:
     log = write(tmp_path / "log.csv", held(np.concatenate([FACES, FACES])))
     done = tiltcal("fit", "free", log, "--unit", "g", "--serial", "A", "-o", "a.yaml", cwd=tmp_path, code=2)

@@ -68,45 +68,54 @@ def test_dates_changes_and_outliers(folder: Path) -> None:
     assert "torn.yaml" in problem
 
 
-def test_the_text_names_what_the_json_holds(folder: Path) -> None:
+def test_text_and_page_name_what_the_json_holds(folder: Path, tmp_path: Path) -> None:
     done = tiltcal("history", folder, "--interval", "9000d", code=0)
     lines = done.stdout.splitlines()
     assert "sca100t-d02 U-0: due 2045-08-23" in lines
     assert "  2021-01-01  U-0-b.yaml  unknown" in lines
     assert any(line.startswith("  temperature.offset.x.1") and line.endswith(f"   {ODD}") for line in lines)
     assert any(line.startswith("problem: ") and "torn.yaml" in line for line in lines)
-
-
-def test_a_page_of_the_folder(folder: Path, tmp_path: Path) -> None:
-    output = tmp_path / "fleet.html"
-    tiltcal("report", folder, "-o", output, code=0)
-    text = output.read_text(encoding="utf-8")
-    Page(text)
-    assert text.count("<svg") >= 2
-    assert "torn.yaml" in text
-    assert ODD in text
+    tiltcal("report", folder, "-o", tmp_path / "fleet.html", code=0)
+    Page(text := (tmp_path / "fleet.html").read_text(encoding="utf-8"))
+    assert (text.count("<svg"), "torn.yaml" in text, ODD in text) == (1, True, True)
     assert '<td class="n">U-0-b.yaml</td><td class="n">306</td><td>unknown</td>' in text
 
 
 def test_a_change_is_told_with_its_uncertainty_and_the_folder_of_its_file(tmp_path: Path) -> None:
     """What the column of z leaves of the offset's variance is each file's own; twice that is the difference's."""
-    for name in ("a", "b"):
+    for name in "abc":
         (tmp_path / name).mkdir()
     later = MAVS.replace("2000", "2021").replace(
         "noise alone: no jig is stated, and no position is left over", "the jig"
     )
     (tmp_path / "b" / "U-0.yaml").write_text(moved(later, 12.0))
     (tmp_path / "a" / "U-0.yaml").write_text(later.replace("2021", "2020"))
+    (tmp_path / "c" / "U-0.yaml").write_text(moved(later, 12.0).replace("2021", "2022"))
+    (tmp_path / "c" / "copy.yaml").write_text((tmp_path / "b" / "U-0.yaml").read_text())
     data = yaml.safe_load(MAVS)
     variance, *_, of_z = data["uncertainty"]["covariance"]["matrix"][0][:4]
     u = sqrt(2.0 * (variance - (of_z / data["fit"]["priors"]["sensitivity.x.z"]) ** 2))
     assert 0.9 < u < 1.1
     done = tiltcal("history", tmp_path)
     change = plus_minus(12.0, u, signed=True)
-    assert f"  2021-01-01  b/U-0.yaml  changed: offset.x by {change} count" in done.stdout.splitlines()
+    assert done.stdout.splitlines()[1:] == [
+        "  2020-01-01  a/U-0.yaml",
+        f"  2021-01-01  b/U-0.yaml  changed: offset.x by {change} count",
+        "  2022-01-01  c/U-0.yaml  unchanged",
+    ]
     page = tmp_path / "fleet.html"
     tiltcal("report", tmp_path, "-o", page, code=0)
     assert f"<td>offset.x by {change} count</td>" in page.read_text(encoding="utf-8")
+    for text, said in (
+        (
+            moved(later, 13.0),
+            f"has the same date, 2021-01-01{ENDED}Z, and other coefficients of SIM-42: keep one of them",
+        ),
+        (later.replace("unit: count", "unit: V"), "its unit is count in one and V in the other, in "),
+    ):
+        (tmp_path / "c" / "copy.yaml").write_text(text)
+        done = tiltcal("history", tmp_path, code=0)
+        assert (done.stdout.startswith("\nproblem: "), said in done.stdout) == (True, True)
 
 
 def test_a_coefficient_that_some_sensors_lack_is_compared_among_those_that_have_it(tmp_path: Path) -> None:

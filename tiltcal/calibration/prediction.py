@@ -256,8 +256,7 @@ def _in_words(coefficient: str) -> str:
 
 def _jig_in_words(bench: BenchUncertainty) -> str:
     if bench.instrument is not None:
-        zero, each = bench.instrument.zero, bench.jig or 0.0
-        return f"a reference whose zero is known to {zero:.2g}°, each tilt to {each:.2g}°"
+        return f"a reference whose zero is known to {bench.instrument.zero:.2g}°, each tilt to {bench.jig:.2g}°"
     return "a perfect jig (none is stated)" if bench.jig is None else f"a jig of {bench.jig:g}°"
 
 

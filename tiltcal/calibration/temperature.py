@@ -161,11 +161,6 @@ def with_typical_temperature(calibration: CalibrationRecord, sensor: MeasuredSen
     if population is None:
         raise EstimateError(f"no source states how a {calibration.sensor.model} behaves over temperature: measure it")
     coefficients = calibration.coefficients
-    if coefficients.thermal is not None:
-        raise EstimateError(
-            "the unit's own temperature run is in this calibration",
-            advice=("leave ", Argument("typical_temperature"), " out"),
-        )
     met = [m.temperature for m in sensor.measurements if m.temperature is not None]
     reference = round(float(np.mean(met)), 3) if met else ROOM
     # The curves are polynomials in T; the file's count from the reference, and a gain from the sensitivity there.
@@ -315,7 +310,7 @@ def _gain_of(sensor: MeasuredSensor, reference: float) -> Array | float:
     population = None if sensor.nominal is None else sensor.nominal.population
     if population is not None:
         mean = Polynomial(population.gain)
-        return hypot(float(mean.deriv()(reference) / mean(reference)), population.gain_spread)
+        return hypot(float(mean.deriv()(reference) / (1.0 + mean(reference))), population.gain_spread)
     thermal = None if sensor.base is None else sensor.base.coefficients.thermal
     if sensor.base is None or thermal is None or not thermal.gain.any():
         return USUAL_GAIN

@@ -23,7 +23,6 @@ from tiltcal.report.numbers import Html, grouped, plain
 from tiltcal.report.record_figures import (
     PairDrawing,
     ReportedLog,
-    change_figure,
     distribution_figure,
     log_figure,
     spectra_figure,
@@ -136,7 +135,7 @@ def fleet_page(history: FleetHistory) -> str:
                 "heading": f"{len(model.histories)} {model.model}"
                 + ("" if model.reference is None else f", at {model.reference:g} °C"),
                 "coefficients": tables.distribution_table(model),
-                "figures": [distribution_figure(model, number), change_figure(model, number)],
+                "figure": distribution_figure(model, number),
             }
             for number, model in enumerate(history.models, start=1)
         ],

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 from support import FIXTURES
 from support.measured import mean_of, measured
 
@@ -19,8 +20,9 @@ from tiltcal.drivers import find_model
 from tiltcal.drivers.model import Model
 from tiltcal.errors import EstimateError, UsageError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
+from tiltcal.files.coefficients import Uncertainty
 from tiltcal.files.procedure import Position, Procedure, find_procedure
-from tiltcal.files.results import FileRecord, Provenance
+from tiltcal.files.results import DerivedRecord, FileRecord, FitRecord, PositionRecord, Provenance
 from tiltcal.library.calibration import Calibration, combine
 
 SENSOR = SensorIdentity("sca100t-d02", "S-1", "count", ("x", "y"))
@@ -149,34 +151,88 @@ def test_positions_of_one_journal_count_once() -> None:
     assert len(twice.positions) == len(alone.positions)
 
 
-def test_a_file_without_positions_enters_by_its_values_and_covariance() -> None:
-    fitted, entered = combine([SCALE, DRIFT]), combine([SCALE, Calibration(by_values(DRIFT.record))])
-    for name, value in values(fitted.coefficients).items():
-        assert values(entered.coefficients)[name] == pytest.approx(value, abs=0.1 * fitted.uncertainty[name]), name
-        assert 0.9 < entered.uncertainty[name] / fitted.uncertainty[name] < 1.1, name
+def stated(known: dict[str, tuple[float, float]], thermal: Thermal | None, *met: float, **more: object) -> Calibration:
+    """A sensor of one channel by its values with their u, and the temperatures of its positions, °C."""
+    offset, sensitivity = (np.array([known[name][0]]) for name in ("offset.x", "sensitivity.x.x"))
+    own = Coefficients(("x",), ("x",), offset, sensitivity[:, None], thermal)
+    rows = tuple(PositionRecord(position=f"p{k}", u={"x": 0.1}, temperature=at) for k, at in enumerate(met))
+    record = CalibrationRecord(
+        SENSOR.replaced(channels=("x",)), own, Uncertainty({n: u for n, (_, u) in known.items()})
+    )
+    return Calibration(replace(record, positions=rows, **more))
 
 
-def of_order(what: str, order: int) -> Calibration:
-    thermal = replace(OF_BASE.coefficients.thermal, **{what: np.full((2, order), 1e-4)})  # type: ignore[type-var]
-    return Calibration(replace(by_values(OF_BASE.record), coefficients=replace(OF_BASE.coefficients, thermal=thermal)))
+def test_values_of_files_are_weighed_as_generalised_least_squares_has_it() -> None:
+    """Free positions show the straight line through their temperatures, a run its square, the third one temperature."""
+    free = {"offset.x": (11.0, 0.3), "sensitivity.x.x": (800.0, 1.0), "temperature.offset.x.1": (0.33, 0.02)}
+    run = {"offset.x": (12.4, 0.4), "temperature.offset.x.1": (0.42, 0.03), "temperature.offset.x.2": (0.01, 0.001)}
+    third, none = {"offset.x": (11.7, 0.2), "sensitivity.x.x": (801.5, 1.5)}, np.zeros((1, 0))
+    drifts = Thermal(20.0, (10.0, 30.0), np.array([[0.33]]), none), Thermal(24.0, (5.0, 40.0), SQUARE, none)
+    assumed = DerivedRecord(assumed=("sensitivity: nominal of the model",))
+    attitudes = FitRecord(distinct_attitudes=12, residuals={"p0": {"x": 0.2}})
+    one = stated(free, drifts[0], 10.0, 20.0, 30.0, fit=attitudes)
+    other = stated(run | {"sensitivity.x.x": (790.0, 5.0)}, drifts[1], 24.0, derived=assumed)
+    found = combine([one, other, stated(third, None, 20.0, 24.0, fit=FitRecord(thermometer_celsius=0.5))])
+    # By offset, sensitivity, drift and its square from 24 °C: the line of (T - 24)² at 10, 20, 30 °C is -8 dT + 248/3.
+    rows = [[1, 0, -4, 248 / 3], [0, 1, 0, 0], [0, 0, 1, -8]]
+    rows += [[1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1], [1, 0, -2, 4], [0, 1, 0, 0]]
+    seen, u = np.transpose([*free.values(), *run.values(), *third.values()])
+    u[6] = np.hypot(0.2, 0.33 * np.hypot(2.0, 0.5))  # by the first drift, over two temperatures and their thermometer
+    whole = np.array(rows) / u[:, None]
+    theta, (rise,), *_ = np.linalg.lstsq(whole, seen / u, rcond=None)
+    names = ("offset.x", "sensitivity.x.x", "temperature.offset.x.1", "temperature.offset.x.2")
+    expected = np.sqrt(np.diag(np.linalg.inv(whole.T @ whole)))
+    assert [found.uncertainty[name] for name in names] == pytest.approx(expected, rel=1e-3)
+    assert [values(found.coefficients)[name] for name in names] == pytest.approx(theta, abs=1e-3)
+    assert (found.fit.chi_square, found.fit.p_value) == pytest.approx((rise, chi2.sf(rise, 4)), rel=1e-3)
+    assert (found.fit.degrees_of_freedom, found.fit.uncertainty_from) == (4, "stated by the calibrations")
+    assert found.coefficients.thermal.range == (5.0, 40.0)
+
+
+SQUARE = np.array([[0.42, 0.01]])
+
+
+def with_thermal(record: CalibrationRecord, **changed: object) -> Calibration:
+    thermal = replace(record.coefficients.thermal, **changed)  # type: ignore[type-var]
+    return Calibration(replace(record, coefficients=replace(record.coefficients, thermal=thermal)))
 
 
 VALUES = by_values(DRIFT.record)
 SILENT = Calibration(replace(VALUES, uncertainty=replace(VALUES.uncertainty, standard={}, covariance=None)))
 OFF = Calibration(replace(DRIFT.record, limits=replace(DRIFT.record.limits, reading={"x": (3000.0, 4000.0)})))
-ORDER = {what: [of_order(what, order) for order in (1, 2)] for what in ("drift", "gain")}
+ORDER = {
+    what: [with_thermal(by_values(OF_BASE.record), **{what: np.full((2, order), 1e-4)}) for order in (1, 2)]
+    for what in ("drift", "gain")
+}
+PARTLY = Calibration(
+    replace(VALUES, uncertainty=Uncertainty({name: VALUES.uncertainty[name] for name in ("offset.x", "offset.y")}))
+)
+WHOLE = Calibration(replace(tiltcal.read(FIXTURES / "cross-axis.yaml").record, sensor=SENSOR))
+LATE = [with_thermal(DRIFT.record, lag=lag) for lag in (100.0, 200.0)]
 TURNED = [SCALE.with_mounting("roll=180"), OF_BASE.with_mounting("roll=90")]
 
 
 @pytest.mark.parametrize(
     ("sessions", "said"),
     [
-        ([SCALE, SCALE], "are one calibration: name it once"),
+        ([SCALE, SCALE], r"^zero-45 and zero-45 \(2\) are one calibration: name it once"),
         ([combine([SCALE, DRIFT]), DRIFT], "would count twice"),
         ([SCALE, SILENT], "two-temperature: the file states no uncertainty"),
         ([Calibration(by_values(SCALE.record)), Calibration(VALUES)], "no calibration has positions that were set"),
         ([SCALE], "name two calibrations or more, or a mounting"),
         ([SCALE, OFF], r"limits\.reading\.x: the calibrations have no readings in common"),
+        (
+            [WHOLE, Calibration(by_values(SCALE.record))],
+            "^zero-45 determines the sensitivity to x, y and another .* x, y, z;",
+        ),
+        (
+            [SCALE, DRIFT, PARTLY],
+            r"^two-temperature \(3\) states no uncertainty of temperature\.offset\.x\.1, which another",
+        ),
+        (
+            LATE,
+            r"^the lags contradict: two-temperature has 100 s and two-temperature \(2\) has 200 s; combine one of them",
+        ),
         ([5, SCALE], "combine takes tilt calibrations or their files, not 5"),
         *(
             ([SCALE, *ORDER[what][::way]], f"the {what} of .* has order .* combine one")

@@ -4,12 +4,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.measured import measured
+from support import FIXTURES
+from support.measured import mean_of, measured
 
 import tiltcal
 from tiltcal.calibration.calibrate import calibrate
+from tiltcal.calibration.comparison import compare_records
+from tiltcal.calibration.complete import level
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor
-from tiltcal.files.calibration import SensorIdentity
+from tiltcal.files.calibration import SensorIdentity, read_calibration
+from tiltcal.files.coefficients import Uncertainty
 from tiltcal.files.procedure import Position, find_procedure
 from tiltcal.library.calibration import Calibration
 
@@ -95,3 +99,30 @@ def test_where_nothing_means_the_same_there_is_no_verdict() -> None:
     assert found.in_words.startswith("unknown; not comparable: offset.x, ")
     assert "no verdict: no coefficient means the same in both files" in str(found)
     assert set(found.as_data()["not_comparable"]) == OFFSETS | PLANE | OF_Z
+
+
+def test_an_offset_that_a_level_renewed_holds_the_whole_column_of_z() -> None:
+    """As that of zero-45 does; of plane it is cos 30°."""
+    rng = np.random.default_rng(9)
+    sensitivity = np.array([[819.0, 12.0, -20.0], [9.0, 815.0, 24.0]])
+    plane, zero_45 = (part_measured(rng, name, sensitivity) for name in ("plane", "zero-45"))
+    seen = mean_of("level", (0.0, 0.0, 1.0), 1024.0 + sensitivity[:, 2], 0.06)
+    renewed = Calibration(level(plane.record, [seen], find_procedure("level"), BenchUncertainty(0.1)))
+    for old, new, not_comparable in ((plane, renewed, OFFSETS), (renewed, zero_45, PLANE)):
+        assert set(tiltcal.compare(old, new).not_comparable) == not_comparable
+
+
+def test_a_lag_is_compared_by_its_uncertainty_and_a_bent_sensor_with_another_bent_one() -> None:
+    """0.4962 s beside 0.4962 s; without one of both the change is not judged."""
+    late = read_calibration(FIXTURES / "ramp.yaml")
+    later = replace(late, coefficients=replace(known := late.coefficients, thermal=replace(known.thermal, lag=65.0)))
+    silent = {name: u for name, u in late.uncertainty.items() if name != "temperature.lag"}
+    for other, u in ((later, 0.4962 * np.sqrt(2.0)), (replace(later, uncertainty=Uncertainty(silent)), None)):
+        *_, lag = compare_records(late, other).changes
+        assert (lag.name, lag.before, lag.after) == ("temperature.lag", 60.035, 65.0)
+        assert lag.u == (None if u is None else pytest.approx(u))
+    bent = read_calibration(FIXTURES / "multi-angle.yaml")
+    straight = replace(bent, coefficients=replace(bent.coefficients, nonlinearity=None))
+    kinds = ("sensitivity.x.x", "sensitivity.y.y", *(f"nonlinearity.{c}.{power}" for c in "xy" for power in (2, 3)))
+    assert set(compare_records(bent, straight).not_comparable) == OFFSETS.union(kinds)
+    assert not compare_records(bent, bent).not_comparable

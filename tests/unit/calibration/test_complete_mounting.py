@@ -6,11 +6,12 @@ from math import radians, sin, sqrt
 import numpy as np
 import pytest
 import scipy
+from support.measured import mean_of
 
 from tiltcal.calibration.complete import mount
 from tiltcal.calibration.measurement import Measurement
 from tiltcal.core.attitude import mounting_matrix
-from tiltcal.core.model import Coefficients, Thermal
+from tiltcal.core.model import Coefficients, Mounting, Thermal
 from tiltcal.core.samples import SampleSummary
 from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
@@ -49,6 +50,34 @@ def test_the_z_column_counts_upside_down(jig: float | None) -> None:
     assert found.coefficients.mounting is not None
     np.testing.assert_allclose(mounting_matrix(found.coefficients.mounting), np.diag([1.0, -1.0, -1.0]), atol=1e-5)
     assert max(found.fit.mounting.residuals_degrees.values()) < 1e-3
+    assert (found.fit.mounting.degrees_of_freedom, found.fit.mounting.p_value) == (3, 1.0 if jig else None)
+    if jig:  # both angles of each direction are good to the jig: the Fisher information of the turn, by hand
+        information = sum(np.eye(3) - np.outer(up, up) for up in LEVEL_X_Y)
+        u = jig * np.sqrt(np.diag(np.linalg.inv(information)))
+        assert [found.uncertainty[f"mounting.{angle}"] for angle in ("roll", "pitch", "yaw")] == pytest.approx(
+            u, rel=1e-3
+        )
+
+
+def test_in_gimbal_lock_any_roll_and_yaw_are_stated_and_the_pitch_is_known() -> None:
+    """Any angle of 360° has u = 180°/√3, and 0.95 √3 of them hold 95 %."""
+    axes = ("x", "y", "z")
+    known = Coefficients(axes, axes, np.zeros(3), 819.0 * np.eye(3))
+    base = CalibrationRecord(SensorIdentity("bench-built", "S-1", "count", axes), known)
+    read = 819.0 * np.array(LEVEL_X_Y) @ mounting_matrix(Mounting(0.0, radians(89.95), 0.0))
+    seen = [mean_of(f"p{k}", up, row, 1e-3) for k, (up, row) in enumerate(zip(LEVEL_X_Y, read, strict=True))]
+    found = mount(base, seen, jig=0.1)
+    assert found.derived.gimbal_lock
+    assert (found.coefficients.mounting.pitch, found.fit.mounting.chi_square) == pytest.approx(
+        (radians(89.95), 0.0), abs=1e-4
+    )
+    information = sum(np.eye(3) - np.outer(up, up) for up in LEVEL_X_Y)
+    u = {"roll": 180.0 / sqrt(3.0), "pitch": 0.1 * sqrt(np.linalg.inv(information)[1, 1]), "yaw": 180.0 / sqrt(3.0)}
+    factors = found.uncertainty.coverage_factor
+    assert {angle: found.uncertainty[f"mounting.{angle}"] for angle in u} == pytest.approx(u, rel=1e-3)
+    assert [factors[f"mounting.{angle}"] for angle in u] == pytest.approx(
+        [0.95 * sqrt(3.0), 1.96, 0.95 * sqrt(3.0)], abs=1e-3
+    )
 
 
 def test_a_base_that_drifts_needs_the_temperature_of_each_position() -> None:

@@ -1,6 +1,7 @@
 """Channels that are not what they are called, simulated by hand."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -53,6 +54,20 @@ def test_readings_in_another_unit_are_remarked() -> None:
         notes = calibrated(lambda true, per_g=per_g: true * per_g / 2.0, unit).fit.notes  # type: ignore[misc]
         said = f"reads {size} {unit} where {usual} {unit} are 1 g: are the readings in {unit}?"
         assert [note for note in notes if "are the readings" in note] == [f"{c} {said}" for c in "xy" if size]
+
+
+def test_a_channel_that_does_not_react_or_is_too_coarse_is_named_with_its_numbers() -> None:
+    """Two positions along y, good to 0.1 mV: an expanded uncertainty of 1.96 √2 0.1 mV; a step of 0.2 V of 2 V/g."""
+    dead = r"^y of S does not react to gravity: its sensitivity is 0\.000\d+ ± 0\.0002[89] V/g; see that the channel is"
+    with pytest.raises(EstimateError, match=dead):
+        calibrated(lambda true: np.array([true[0], 2.5]))
+    coarse = measured(PLANE.positions, lambda one: 2.5 + 2.0 * np.array(one.gravity[:2]), np.random.default_rng(1), 0.0)
+    coarse = [
+        replace(one, summaries={c: replace(s, resolution=0.2) for c, s in one.summaries.items()}) for one in coarse
+    ]
+    notes = calibrate([MeasuredSensor(SENSOR, coarse)], PLANE, BenchUncertainty(0.05))[0].fit.notes
+    said = "have a step of 0.2 V, 5.7° near level: give them with more digits"
+    assert [note for note in notes if "digits" in note] == [f"the numbers of {c} {said}" for c in "xy"]
 
 
 def test_the_same_readings_twice_are_refused_where_no_sensitivity_is_determined() -> None:

@@ -203,17 +203,13 @@ def test_large_file_is_refused(tmp_path: Path) -> None:
         assert str(refused.value) == f"{place}: {said}"
 
 
-def test_file_that_is_not_utf8_names_the_line(tmp_path: Path) -> None:
-    path = tmp_path / "latin1.yaml"
-    path.write_bytes("a: 1\nb: 20 °C\n".encode("latin-1"))
-    with pytest.raises(InputError, match=r"latin1.yaml:2: not UTF-8 \(byte 0xb0\)"):
-        read_document(path)
-
-
-def test_byte_order_mark_is_no_part_of_the_first_key(tmp_path: Path) -> None:
-    path = tmp_path / "bom.yaml"
+def test_a_byte_order_mark_is_no_part_of_the_first_key_and_what_is_not_utf8_names_the_line(tmp_path: Path) -> None:
+    path = tmp_path / "f.yaml"
     path.write_bytes(b"\xef\xbb\xbfa: 1\n")
     assert read_document(path).data == {"a": "1"}
+    path.write_bytes("a: 1\nb: 20 °C\n".encode("latin-1"))
+    with pytest.raises(InputError, match=r"f.yaml:2: not UTF-8 \(byte 0xb0\)"):
+        read_document(path)
 
 
 # Which file it is.

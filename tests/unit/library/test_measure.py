@@ -10,14 +10,13 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from support import FIXTURES
 
 import tiltcal
 from tiltcal import PairCalibration, measure
 from tiltcal.bench import devices
 from tiltcal.bench.operators import PythonObject
 from tiltcal.cli.main import run
-from tiltcal.errors import EstimateError, UsageError
+from tiltcal.errors import UsageError
 
 SENSOR = {"sensor": "sca100t-d02", "address": "sim:?seed=1", "serial": "S-1", "samples": 4, "settle": 0.2}
 
@@ -137,12 +136,3 @@ def test_a_journal_of_somebody_else_writes_nowhere_but_beside_it(name: str, tmp_
     assert not written.exists()
     measure(resume="inside/J.jsonl", output="here.yaml")
     assert Path("here.yaml").read_bytes() == whole
-
-
-def test_a_base_states_the_sensitivity_of_a_device_of_any_kind() -> None:
-    """serial-columns has none of its own; two-temperature determines none."""
-    sensor = {"sensor": "serial-columns", "address": "serial:///dev/null?columns=x,y,temperature&unit=V"}
-    with pytest.raises(EstimateError, match=r"two-temperature determines no sensitivity, .* own calibration with base"):
-        tiltcal.plan("two-temperature", **sensor)  # type: ignore[arg-type]
-    base = FIXTURES / "zero-45.yaml"
-    assert tiltcal.plan("two-temperature", **sensor, base=base).uncertainty["sensitivity.x.x"] > 0.0  # type: ignore[arg-type]

@@ -107,8 +107,13 @@ def test_a_base_with_a_nonlinearity_has_it_in_the_offset_and_its_uncertainty(rec
     assert found.offset["y"] == pytest.approx(1020.0, abs=0.2)
     assert found.uncertainty["offset.y"] == pytest.approx(1.638, rel=0.02)
     assert found.uncertainty["offset.x"] < 0.2
-    # Without a base the data sheet's 819 count/g come off the reading of y.
+    # Without a base the data sheet's 819 count/g come off the reading of y; their drift is -0.00022 t + 0.0022 %/°C of
+    # them at t °C, and of parts within 0.014 %/°C of it; a jig of 0.2° and a lean of 0.1° turn x into y.
     found = fitted(minutes, segments=HUNG)
+    gain = np.hypot((-0.00022 * 24.0 + 0.0022) / 100.0, 0.014 / 100.0)
+    assert found.uncertainty["temperature.offset.y.1"] == pytest.approx(819.0 * gain, rel=0.02)
+    leaning = fitted(minutes, segments=HUNG, jig=0.2, table_lean=0.1)
+    assert leaning.uncertainty["offset.x"] == pytest.approx(819.0 * np.radians(np.hypot(0.2, 0.1)), rel=0.01)
     assert found.offset["y"] == pytest.approx(1020.0 - 819.0, abs=0.5)
     assert found.uncertainty["offset.y"] == pytest.approx(found.uncertainty["sensitivity.y.y"], rel=0.05)
 

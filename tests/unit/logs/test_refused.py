@@ -22,6 +22,7 @@ SENSOR = {"serial": "S-1", "sensor": "sca100t-d02"}
 SEGMENT = [{"position": "level", "start": 0, "end": 80}]
 DISK = xarray.Dataset({name: ("n", np.linspace(0.0, 20.0, 400)) for name in ("theta", "a", "b", "c")})
 DISK["theta"].attrs["units"] = "rad"
+ZERO_45 = {"position": ["level", "x-45", "y-45"], "x": [1024.0, 1603.0, 1024.0], "y": [1024.0, 1024.0, 1603.0]}
 NOISY = {"x": np.random.default_rng(1).normal(size=200).tolist()}
 
 
@@ -71,6 +72,8 @@ REFUSED: dict[str, Callable[[], Any]] = {
         )
     ),
     "state the sensor's serial number": fit("plane", serial=None),
+    "the table states no uncertainties (ux, uy, uz) and has no position more than there are unknowns: nothing says how "
+    "good the result is; add either": fit("zero-45", ZERO_45, jig=0.1),
     "the frame: its sample rate is unknown: there is no column 'time'; name it with columns time=NAME, or state rate "
     "HZ": noise(NOISY),
     "the frame: column 'x' has no value in any row: is x connected?": noise({"x": [None] * 80}, rate=1.0),

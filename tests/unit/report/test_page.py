@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import yaml
 from support import FIXTURES, WITHOUT_PRIORS
+from support.golden_file import as_data, coefficients
 from support.html_page import Page, undrawn
 
 from tiltcal.calibration.wording import label
@@ -38,12 +38,6 @@ SOURCE = FileRecord(name="S.yaml", sha256="0" * 64)
 
 def golden(name: str) -> CalibrationRecord:
     return read_calibration(FIXTURES / f"{name}.yaml")
-
-
-def as_data(name: str) -> dict[str, Any]:
-    """A golden file, read by another reader than ours."""
-    data: dict[str, Any] = yaml.safe_load((FIXTURES / f"{name}.yaml").read_text(encoding="utf-8"))
-    return data
 
 
 def page_of(calibration: CalibrationRecord, **more: Any) -> Page:
@@ -135,21 +129,6 @@ def cells(value: float, u: float | None, unit: str, factor: float | None) -> lis
     """Value, unit, half the interval and coverage factor of a quantity on the page."""
     interval = [half_width(factor * u), f"{factor:.2f}"] if factor and u else ["", ""]
     return [measured(value, u), unit, *interval]
-
-
-def coefficients(data: dict[str, Any]) -> list[tuple[str, float, float]]:
-    """Name, value and uncertainty of all that the section ``calibration`` holds, but the mounting."""
-    section, u = data["calibration"], data["uncertainty"]
-    found = [(f"offset.{c}", v, u["offset"][c]) for c, v in section["offset"].items()]
-    for c, row in section["sensitivity"].items():
-        found += [(f"sensitivity.{c}.{axis}", v, u["sensitivity"][c][axis]) for axis, v in row.items()]
-    for what in ("offset", "sensitivity"):
-        for c, row in section.get("temperature", {}).get(what, {}).items():
-            doubts = u["temperature"].get(what, {}).get(c, [0.0] * len(row))
-            found += [(f"temperature.{what}.{c}.{k + 1}", v, doubts[k]) for k, v in enumerate(row)]
-    for c, row in section.get("nonlinearity", {}).items():
-        found += [(f"nonlinearity.{c}.{k}", v, u["nonlinearity"][c][k - 2]) for k, v in enumerate(row, start=2)]
-    return found
 
 
 class TestRecords:
