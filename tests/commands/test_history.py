@@ -77,7 +77,7 @@ def test_text_and_page_name_what_the_json_holds(folder: Path, tmp_path: Path) ->
     assert any(line.startswith("problem: ") and "torn.yaml" in line for line in lines)
     tiltcal("report", folder, "-o", tmp_path / "fleet.html", code=0)
     Page(text := (tmp_path / "fleet.html").read_text(encoding="utf-8"))
-    assert (text.count("<svg"), "torn.yaml" in text, ODD in text) == (1, True, True)
+    assert (text.count("<svg"), "torn.yaml" in text, ODD in text) == (2, True, True)
     assert '<td class="n">U-0-b.yaml</td><td class="n">306</td><td>unknown</td>' in text
 
 

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from tiltcal.core.angle_readings import DEGREES
 from tiltcal.core.attitude import STRAIGHT, Orientation
 from tiltcal.core.model import AXES, Coefficients
 from tiltcal.core.plausibility import UNKNOWN_OFFSET
@@ -243,4 +244,8 @@ def remarks_on_wiring(coefficients: Coefficients, unit: str) -> Iterator[str]:
     for channel, row in zip(coefficients.channels, coefficients.sensitivity, strict=True):
         size, usual = coefficients.per_radian * float(np.linalg.norm(row)), near_level_of(unit)
         if usual and not usual / CLEARLY < size < usual * CLEARLY:
-            yield f"{channel} reads {size:.3g} {unit} where {usual:.3g} {unit} are 1 g: are the readings in {unit}?"
+            half = f"{channel} reads {size / 2:.3g} {unit} for 0.5 g, which is {usual / 2:.3g} {unit}"
+            other = "degrees" if DEGREES / CLEARLY < size < DEGREES * CLEARLY else f"in {unit}"
+            if unit in OF_TILT:
+                other = "components of gravity, in g" if size < CLEARLY else f"in {unit}"
+            yield f"{half}: are the readings {other}?"

@@ -28,7 +28,7 @@ import numpy as np
 from tiltcal.calibration.comparison import Comparison, compare_records, require_same_sensor, shared_errors
 from tiltcal.calibration.stated import stated_section
 from tiltcal.core.directions import common, tilts
-from tiltcal.core.model import Coefficients, Limits, overlap, referred, values, with_vector
+from tiltcal.core.model import Array, Coefficients, Limits, overlap, referred, values, with_vector
 from tiltcal.core.uncertain import Uncertain, weighted_sum
 from tiltcal.errors import InputError, UsageError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity, read_calibration
@@ -87,6 +87,17 @@ class SensorHistory:
     def due(self, interval: timedelta) -> datetime:
         """Return when the next calibration is due."""
         return self.calibrations[-1].date + interval
+
+    def series(self, name: str) -> tuple[Array, Array] | None:
+        """Return values and standard uncertainties of a coefficient that all have, at the last one's reference."""
+        records = [calibration.record for calibration in self.calibrations]
+        last = records[-1].coefficients.thermal
+        reference = None if last is None else last.reference
+        errors = [record.uncertain_at(reference) for record in records]
+        if any(name not in one.names for one in errors):
+            return None
+        value = [values(referred(record.coefficients, reference))[name] for record in records]
+        return np.array(value), np.array([one.u[one.names.index(name)] for one in errors])
 
     def at(self, time: float, stability: float | None = None) -> CalibrationRecord:
         """Return the calibration at a time, seconds since 1970: between two of them, or the nearest one.
@@ -306,9 +317,11 @@ class CoefficientDistribution:
 
     @property
     def outliers(self) -> tuple[str, ...]:
-        """Serial numbers, ascending in value; none where more than half of the sensors have one value."""
-        middle, reach = self.median, FAR * self.spread
-        return tuple(serial for serial, value in self.values.items() if abs(value - middle) > reach > 0.0)
+        """Serial numbers, the most extreme first; none where more than half of the sensors have one value."""
+        far = {serial: abs(value - self.median) for serial, value in self.values.items()}
+        return tuple(
+            serial for serial in sorted(far, key=far.__getitem__)[::-1] if far[serial] > FAR * self.spread > 0.0
+        )
 
     def __str__(self) -> str:
         low, *_, high = self.values.values()

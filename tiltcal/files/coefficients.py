@@ -7,7 +7,7 @@ dotted names; and a ``single_reading`` of a log is uncertain, too.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import degrees, isclose, radians
 from typing import Annotated, Any
@@ -213,18 +213,17 @@ class Covariance(Record):
 
     def turned(self, signs: Array) -> Covariance:
         """Return the covariance of the coefficients with other signs, shape (k,)."""
-        matrices = (np.array(rows, dtype=float) * np.outer(signs, signs) for rows in (self.matrix, self.wide) if rows)
-        matrix, *wide = [tuple(map(tuple, rows.tolist())) for rows in matrices]
-        return self.replaced(matrix=matrix, wide=wide[0] if wide else ())
+        return self._changed(self.parameters, lambda rows: rows * np.outer(signs, signs))
 
     def without_turn(self) -> Covariance:
         """Return the covariance of all but the turn of the mounting."""
         kept = [k for k, name in enumerate(self.parameters) if not name.startswith(TURN)]
-        matrices = [self.matrix, self.wide] if self.wide else [self.matrix]
-        matrix, *wide = [tuple(tuple(rows[i][j] for j in kept) for i in kept) for rows in matrices]
-        return Covariance(
-            parameters=tuple(self.parameters[k] for k in kept), matrix=matrix, wide=wide[0] if wide else ()
-        )
+        return self._changed([self.parameters[k] for k in kept], lambda rows: rows[np.ix_(kept, kept)])
+
+    def _changed(self, names: Sequence[str], change: Callable[[Array], Array]) -> Covariance:
+        tables = [rows and change(np.array(rows, dtype=float)).tolist() for rows in (self.matrix, self.wide)]
+        matrix, wide = (tuple(map(tuple, rows)) for rows in tables)
+        return Covariance(parameters=tuple(names), matrix=matrix, wide=wide)
 
 
 @dataclass(frozen=True)

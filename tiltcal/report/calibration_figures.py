@@ -111,11 +111,11 @@ def _plot_residuals_of(panel: Axes, calibration: CalibrationRecord, positions: l
 
 
 def temperature_figure(calibration: CalibrationRecord) -> SvgFigure | None:
-    """Return offset over temperature per channel, and the sensitivity drift if there is one; None if not measured."""
+    """Return offset over temperature per channel, and the sensitivity drift if there is one; None without both."""
     coefficients, thermal = calibration.coefficients, calibration.coefficients.thermal
-    if thermal is None or thermal.range is None:
+    if thermal is None:
         return None
-    gains, (low, high) = bool(thermal.gain.any()), thermal.range
+    gains, (low, high) = bool(thermal.gain.any()), thermal.range or (thermal.reference - 10.0, thermal.reference + 10.0)
     t = np.linspace(low, high, POINTS)
 
     def plot(figure: Figure) -> None:

@@ -23,6 +23,7 @@ from tiltcal.report.numbers import Html, grouped, plain
 from tiltcal.report.record_figures import (
     PairDrawing,
     ReportedLog,
+    change_figure,
     distribution_figure,
     log_figure,
     spectra_figure,
@@ -135,7 +136,7 @@ def fleet_page(history: FleetHistory) -> str:
                 "heading": f"{len(model.histories)} {model.model}"
                 + ("" if model.reference is None else f", at {model.reference:g} °C"),
                 "coefficients": tables.distribution_table(model),
-                "figure": distribution_figure(model, number),
+                "figures": [distribution_figure(model, number), change_figure(model, number)],
             }
             for number, model in enumerate(history.models, start=1)
         ],

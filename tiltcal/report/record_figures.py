@@ -244,7 +244,7 @@ def distribution_figure(fleet: ModelFleet, number: int) -> SvgFigure | None:
         plot,
         title=f"Distribution of the coefficients of {len(fleet.histories)} {fleet.model}",
         description=f"One dot for each sensor and coefficient: {', '.join(panels)}.",
-        caption="One dot for each sensor. Grey bar: median ± 2 spreads (from the quartiles).",
+        caption="One dot for each sensor. Grey bar: median ± 2 spreads (from the quartiles). Outliers are named.",
     )
 
 
@@ -263,3 +263,43 @@ def _plot_row(panel: Axes, row: int, distribution: CoefficientDistribution) -> N
     panel.plot(middle, row, "|", color=INK, markersize=9.0)
     # Every other dot stands a little lower, so that neighbours do not hide one another.
     panel.plot(values, row + np.resize([-0.11, 0.0, 0.11], len(values)), mark, color=colour)
+    for serial in distribution.outliers:
+        place = distribution.values[serial], row
+        panel.plot(*place, "o", markersize=7.0, markerfacecolor="none", markeredgecolor=RED)
+        panel.annotate(serial, place, (0, -9), textcoords="offset points", ha="center", color=RED)
+
+
+def change_figure(fleet: ModelFleet, number: int) -> SvgFigure | None:
+    """Return the change of the offsets since the first calibration, mg; None where no sensor has two."""
+    if not any(len(history.calibrations) > 1 for history in fleet.histories):
+        return None
+
+    def plot(figure: Figure) -> None:
+        channels = fleet.histories[0].sensor.channels
+        panels = figure.subplots(1, len(channels), squeeze=False)
+        for panel, channel in zip(panels.flat, channels, strict=True):
+            _plot_changes(panel, fleet, channel)
+            panel.set_ylabel(f"change of the offset of {channel} [mg]")
+        figure.autofmt_xdate()
+
+    return picture(
+        f"drift-{number}",
+        2.3,
+        plot,
+        title=f"Change of the offsets of {len(fleet.histories)} {fleet.model}",
+        description="Offset of each sensor and channel since its first calibration, in mg, over the date.",
+        caption="Change of each offset since the sensor’s first calibration, with its standard uncertainty.",
+    )
+
+
+def _plot_changes(panel: Axes, fleet: ModelFleet, channel: str) -> None:
+    colour, mark, _ = CHANNELS[channel]
+    panel.axhline(0.0, color=INK)
+    for history in fleet.histories:
+        series, coefficients = history.series(f"offset.{channel}"), history.calibrations[-1].record.coefficients
+        if series is not None and len(series[0]) > 1 and channel in coefficients.axes:
+            milligravity = 1000.0 / coefficients.own_sensitivity(channel)
+            values, u = series
+            dates = [calibration.date for calibration in history.calibrations]
+            change = milligravity * (values - values[0])
+            panel.errorbar(dates, change, yerr=abs(milligravity) * u, color=colour, marker=mark)  # type: ignore[arg-type]

@@ -46,14 +46,21 @@ def test_exchanged_and_turned_channels_are_remarked_and_two_copies_refused() -> 
 
 
 def test_readings_in_another_unit_are_remarked() -> None:
-    """Beyond a factor of two; of slopes and angles what a radian is near level counts."""
-    for unit, per_g, size, usual in (
-        *(("g", 9.81, "9.81", "1"), ("m/s2", 1.0, "1", "9.81"), ("g", 0.49, "0.49", "1"), ("m/s2", 21.0, "21", "9.81")),
+    """Beyond a factor of two; degrees are 57.3 a radian, and 0.5 at 30° are 0.955 of them."""
+    for unit, per_g, half, said in (
+        ("g", 9.8, "4.9 g for 0.5 g, which is 0.5 g", "in g"),
+        ("m/s2", 1.0, "0.5 m/s2 for 0.5 g, which is 4.9 m/s2", "in m/s2"),
+        ("g", 0.49, "0.245 g for 0.5 g, which is 0.5 g", "in g"),
+        ("g", 29.0, "14.5 g for 0.5 g, which is 0.5 g", "degrees"),
+        ("m/s2", 114.0, "57 m/s2 for 0.5 g, which is 4.9 m/s2", "degrees"),
+        ("m/s2", 115.0, "57.5 m/s2 for 0.5 g, which is 4.9 m/s2", "in m/s2"),
+        ("deg", 1.0, "0.477 deg for 0.5 g, which is 28.6 deg", "components of gravity, in g"),
+        ("deg", 1000.0, "477 deg for 0.5 g, which is 28.6 deg", "in deg"),
         *(("g", 1.9, "", ""), ("g", 0.51, "", ""), ("m/s2", 9.6, "", ""), ("V", 100.0, "", "")),
     ):
         notes = calibrated(lambda true, per_g=per_g: true * per_g / 2.0, unit).fit.notes  # type: ignore[misc]
-        said = f"reads {size} {unit} where {usual} {unit} are 1 g: are the readings in {unit}?"
-        assert [note for note in notes if "are the readings" in note] == [f"{c} {said}" for c in "xy" if size]
+        told = [note for note in notes if "are the readings" in note]
+        assert told == [f"{c} reads {half}: are the readings {said}?" for c in "xy" if half]
 
 
 def test_a_channel_that_does_not_react_or_is_too_coarse_is_named_with_its_numbers() -> None:

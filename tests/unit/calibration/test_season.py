@@ -96,6 +96,15 @@ def test_a_quarter_of_the_way_the_lag_has_changed_by_a_quarter_and_the_limits_ar
     assert found.limits.tilt == {"x": (-10.0, 20.0)}
 
 
+def test_a_series_is_at_the_reference_temperature_of_the_last() -> None:
+    """A drift of 0.1 count/°C between 24 and 34 °C."""
+    ends = [Thermal(at, (5.0, 40.0), np.array([[0.1], [0.2]]), np.zeros((2, 1))) for at in (24.0, 34.0)]
+    season = history(*(replace(BASE, coefficients=replace(BASE.coefficients, thermal=thermal)) for thermal in ends))
+    series = season.series("offset.x")
+    assert series is not None
+    assert series[0] == pytest.approx(BASE.coefficients.offset[0] + np.array([1.0, 0.0]))
+
+
 def test_of_two_sessions_only_what_the_data_sheet_states_is_shared() -> None:
     """The column of z is the prior's alone in both; that of y was measured twice."""
     other = replace(BASE, coefficients=replace(BASE.coefficients, sensitivity=BASE.coefficients.sensitivity + 0.01))

@@ -26,6 +26,7 @@ from tiltcal.report.figure import SvgFigure
 from tiltcal.report.record_figures import (
     PairDrawing,
     ReportedLog,
+    change_figure,
     distribution_figure,
     draw_matching,
     draw_noise,
@@ -340,14 +341,18 @@ def test_the_spectra_of_a_pair_and_the_course_of_its_estimates(tmp_path: Path) -
 
 
 def test_a_fleet(tmp_path: Path) -> None:
-    """Twelve sensors, one of them far off."""
+    """Twelve sensors, one of them far off and one calibrated twice."""
     plain, drift = (FIXTURES / "mavs.yaml").read_text(encoding="utf-8"), np.random.default_rng(2).normal(1.0, 0.2, 12)
     own = yaml.safe_load(plain)["calibration"]
     drift[7] = 9.0
     for number, value in enumerate(drift):
         text = plain.replace("SIM-42", f"U-{number:02}").replace("x: [2.52339]", f"x: [{value:.5f}]")
-        text = text.replace(f"{{x: {own['offset']['x']}", f"{{x: {own['offset']['x'] + number}", 1)
         (tmp_path / f"{number}.yaml").write_text(text.replace("2000-01-01", "2020-03-01"), encoding="utf-8")
+    offset = f"offset: {{x: {own['offset']['x']}"
+    assert plain.count(offset) == 1
+    later = plain.replace(offset, f"offset: {{x: {own['offset']['x'] + 12.0}").replace("2000-01", "2021-01")
+    later = later.replace("SIM-42", "U-00").replace("x: [2.52339]", f"x: [{drift[0]:.5f}]")
+    (tmp_path / "later.yaml").write_text(later, encoding="utf-8")
     now = datetime(2021, 6, 1, tzinfo=UTC)
     (fleet,) = fleet_history(CalibrationFolder(tmp_path), timedelta(days=365), now).models
     _, (offsets, gradient) = pictured(lambda: distribution_figure(fleet, 1), "distribution-1")
@@ -356,7 +361,7 @@ def test_a_fleet(tmp_path: Path) -> None:
     ]  # fmt: skip
     assert [one.get_text() for one in gradient.get_yticklabels()] == ["Drift of offset x, ΔT"]
     values = np.round(drift, 5)
-    bar, middle, dots = drawn(gradient)
+    bar, middle, dots, ring = drawn(gradient)
     quarters = np.percentile(values, [25, 50, 75])
     spread = (quarters[2] - quarters[0]) / 1.349
     np.testing.assert_allclose(bar, [quarters[1] + 2 * spread * np.array([-1, 1]), [0, 0]], rtol=1e-3)
@@ -365,7 +370,12 @@ def test_a_fleet(tmp_path: Path) -> None:
     beside = dots[1][np.argsort(dots[0])]
     assert np.abs(beside).max() < 0.2
     assert np.abs(np.diff(beside)).min() > 0.05
-    assert looks(gradient) == [("", GREY, "-", "None"), ("", INK, "None", "|"), ("", BLUE, "None", "o")]
+    assert ring.ravel().tolist() == [9.0, 0.0]
+    assert looks(gradient)[:3] == [("", GREY, "-", "None"), ("", INK, "None", "|"), ("", BLUE, "None", "o")]
+    hollow = gradient.lines[-1]
+    assert (hollow.get_markerfacecolor(), to_hex(hollow.get_markeredgecolor())) == ("none", RED)
+    assert hollow.get_markersize() > 1.5 * gradient.lines[2].get_markersize()
+    assert [one.get_text() for one in gradient.texts] == ["U-07"]
     assert gradient.get_ylim() == (0.6, -0.6)
     cells = [[re.sub("<.*?>", "", cell) for cell in column.cells] for column in distribution_table(fleet).columns]
     table = {row[0]: row[2:] for row in zip(*cells, strict=True)}
@@ -373,6 +383,16 @@ def test_a_fleet(tmp_path: Path) -> None:
     assert table["Drift of offset x, ΔT"] == (*numbers, "count/°C", "U-07")
     alike = f"{own['sensitivity']['x']['x']:.4g}"  # in the whole fleet
     assert table["Sensitivity of x"] == (alike, "0", alike, alike, "count/g", "")
+    shown, panels = pictured(lambda: change_figure(fleet, 1), "drift-1")
+    assert [words(one) for one in panels] == [("", f"change of the offset of {channel} [mg]") for channel in "xy"]
+    milligravity = 1000.0 / own["sensitivity"]["x"]["x"]
+    zero, change = drawn(panels[0])
+    assert zero[1].tolist() == [0.0, 0.0]
+    assert change[1].tolist() == pytest.approx([0.0, 12.0 * milligravity])
+    u = milligravity * yaml.safe_load(plain)["uncertainty"]["offset"]["x"]
+    assert np.diff(bars(panels[0])[0][:, :, 1]).ravel().tolist() == pytest.approx([2 * u, 2 * u], rel=1e-3)
+    assert looks(panels[0])[1] == ("", BLUE, "-", "o")
+    assert "Change of the offsets of 12 sca100t-d02" in shown.svg
 
 
 def test_the_errors_of_the_demonstration(tmp_path: Path) -> None:
