@@ -20,6 +20,7 @@ A message says what was found, where, and what to do.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from os import PathLike
 
 NEGATIVE_VERDICT = 1
@@ -29,6 +30,7 @@ INTERRUPTED = 130
 """Exit code of a command that Ctrl-C or its operator stopped."""
 
 
+@dataclass(frozen=True)
 class Argument:
     """An argument in a message: a program reads its name, the command line writes its option.
 
@@ -40,9 +42,8 @@ class Argument:
         What is written behind it, if anything.
     """
 
-    def __init__(self, name: str, value: str = "") -> None:
-        self.name = name
-        self.value = value
+    name: str
+    value: str = ""
 
     def __str__(self) -> str:
         return f"{self.name} {self.value}".rstrip()

@@ -124,12 +124,12 @@ def _pattern_of(lines: Sequence[str], later: Sequence[int]) -> Dialect | None:
             shapes.setdefault(keys or tuple("".join(text.split()) for text in texts), []).append(row)
     if 2 * sum(map(len, shapes.values())) <= len(later):
         return None
-    patterns = {shape: _common(lines, rows) for shape, rows in shapes.items()}
-    patterns = {
-        shape: pattern
-        for shape, pattern in patterns.items()
-        if any(pattern.cells(lines[row].strip()) is not None for row in shapes[shape])
-    }
+    patterns = {}
+    for shape, rows in shapes.items():  # of lines that differ in numbers and blanks alone: with the blanks of most
+        usual = Counter(tuple(printed(lines[row])[0]) for row in rows).most_common(1)[0][0]
+        pattern = Pattern(usual, _keys(lines[rows[0]].strip()))
+        if any(pattern.cells(lines[row].strip()) is not None for row in rows):
+            patterns[shape] = pattern
     if not patterns:
         return None
 
@@ -167,12 +167,6 @@ def _keys(line: str) -> tuple[str, ...]:
         return tuple(flattened(json.loads(line)))
     except (ValueError, RecursionError):
         return ()
-
-
-def _common(lines: Sequence[str], rows: Sequence[int]) -> Pattern:
-    """Return the pattern of lines that differ in numbers and blanks alone: with the blanks of most of them."""
-    texts = Counter(tuple(printed(lines[row])[0]) for row in rows).most_common(1)[0][0]
-    return Pattern(texts, _keys(lines[rows[0]].strip()))
 
 
 def _names_of(pattern: Pattern) -> list[str]:

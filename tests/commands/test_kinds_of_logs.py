@@ -88,13 +88,6 @@ def test_how_a_kind_is_written(kind: str) -> None:
     } | WRITTEN[kind]
 
 
-def test_a_sentence_with_another_check_sum_is_no_row(tmp_path: Path) -> None:
-    sound = "$GPGLL,5300.97914,N,00259.98174,E,125926,A*28"  # of u-blox's receiver description
-    (tmp_path / "log.txt").write_text("\n".join([sound] * 3 + [sound.replace("97914", "97915")]) + "\n")
-    with open_log(tmp_path / "log.txt", skip_bad_rows=True) as log:
-        assert [sorted(block.faults) for block in log.rows([1])] == [[3]]
-
-
 def test_an_array_of_json_is_refused_with_what_makes_a_log_of_it(tmp_path: Path) -> None:
     (tmp_path / "log.json").write_text('[\n {"ax": 0.1, "ay": 0.2},\n {"ax": 0.1, "ay": 0.3}\n]\n')
     assert "jq -c '.[]'" in tiltcal("probe", "log.json", cwd=tmp_path, code=2).stderr
@@ -248,12 +241,6 @@ def test_the_first_times_of_a_log_decide_their_unit() -> None:
     parts = [clock.seconds(part, None, None, "log.csv")[0] for part in (times[:10], times[10:])]
     assert np.concatenate(parts).tolist() == times.tolist()
     assert clock.remarks == []
-
-
-def test_times_with_a_decimal_comma_have_the_unit_of_their_header(tmp_path: Path) -> None:
-    rows = [f"{0.005 * k:.3f};0;0;1".replace(".", ",") for k in range(100)]
-    (tmp_path / "log.csv").write_text("\n".join(["time (min);x;y;z", *rows, ""]))
-    assert "100 rows, 3.333 Hz" in tiltcal("probe", "log.csv", cwd=tmp_path).stdout
 
 
 def test_dates_that_leave_their_order_open_are_named(tmp_path: Path) -> None:

@@ -75,6 +75,8 @@ def test_fields_sums_patterns_and_objects() -> None:
     stated = Dialect(("time", "a", "b"), has_clock=True, decimal=",", separator=";", head=("a;b", "12:00:00 -> 1;2"))
     assert stated.fields_of("12:00:01,5 -> 1;2,5") == "12:00:01.5;1;2,5"
     assert stated.fields_of("1;2") == '"1;2"'
+    sentences = Dialect(("kind", "a"), has_sum=True)
+    assert [sentences.fields_of(line) for line in ("$A,1*5C", "$A,1*5D")] == ["$A,1", '"$A,1*5D"']
     lines = ("12:00:01 -> ", "12:00:01 -> # x", "12:00:01 -> a;b", "12:00:01 -> 1;2")
     assert [stated.no_row(line) for line in lines] == ["empty", "comment", "header", ""]
 

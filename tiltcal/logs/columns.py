@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from tempfile import TemporaryFile, gettempdir
+from typing import IO, TYPE_CHECKING
 
 import numpy as np
 
 from tiltcal.column_names import TEMPERATURE, TIME, best_time, meaning
 from tiltcal.core.model import AXES, Array
-from tiltcal.errors import Argument, InputError, Words, parts_of
+from tiltcal.errors import Argument, InputError, UsageError, Words, parts_of
 from tiltcal.printable import did_you_mean
 from tiltcal.stated_arguments import named_values
 from tiltcal.units import DEGREE, READINGS, TEMPERATURES, same_unit, spelt, split_unit
@@ -19,6 +21,7 @@ if TYPE_CHECKING:
     from tiltcal.logs.log import LogReader
 
 HEADING = "heading"
+_MEMORY = 256 << 20  # keep the columns in memory up to so many bytes, and in temporary files beyond
 
 
 def named_columns(
@@ -192,19 +195,26 @@ class RecordedColumns:
 
 
 def read_columns(log: LogReader, where: Mapping[str, int], *, needs_time: bool = False) -> RecordedColumns:
-    """Read columns of a log to its end, by role.
+    """Read columns of a log to its end, by role; beyond 256 MB they are maps of temporary files, which go with them.
 
     ``needs_time``, and the InputError of the log, are those of :meth:`LogReader.rows`.
     """
-    blocks: list[list[Array]] = [[np.empty(0)] for _ in where]
-    faulty = 0
-    warm = [where[TEMPERATURE]] if TEMPERATURE in where else []
-    needed = sorted(set(where.values()))
-    for block in log.rows(needed, where.get(TIME), temperatures=warm, needs_time=needs_time):
-        faulty += len(block.faults)
-        for column, kept in zip(where.values(), blocks, strict=True):
-            kept.append(block.values[column])
-    by_role = dict(zip(where, map(np.concatenate, blocks), strict=True))
+    blocks: list[list[Array]] = [[] for _ in where]
+    rows = faulty = 0
+    with ExitStack() as opened:
+        files: list[IO[bytes]] = []
+        warm = [where[TEMPERATURE]] if TEMPERATURE in where else []
+        needed = sorted(set(where.values()))
+        for block in log.rows(needed, where.get(TIME), temperatures=warm, needs_time=needs_time):
+            rows, faulty = rows + len(block), faulty + len(block.faults)
+            for column, kept in zip(where.values(), blocks, strict=True):
+                kept.append(block.values[column])
+            if files or 8 * rows * len(where) > _MEMORY:
+                files = files or [opened.enter_context(TemporaryFile()) for _ in where]
+                _to_files(blocks, files)
+        columns = [np.asarray(np.memmap(file, dtype=np.float64, mode="r")) for file in files]  # a map outlives its file
+    columns = columns or [np.concatenate([np.empty(0), *kept]) for kept in blocks]
+    by_role = dict(zip(where, columns, strict=True))
     return RecordedColumns(by_role, log.name, faulty)
 
 
@@ -221,3 +231,17 @@ def read_readings(
     if TIME not in where and log.has_times(TIME, where[channels[0]]):
         where[TIME] = log.names.index(TIME)
     return read_columns(log, where, needs_time=needs_time)
+
+
+def _to_files(blocks: Sequence[list[Array]], files: Sequence[IO[bytes]]) -> None:
+    """Move the blocks of each column behind those in its file."""
+    try:
+        for kept, file in zip(blocks, files, strict=True):
+            file.writelines(np.ascontiguousarray(block, dtype=np.float64).data for block in kept)
+            file.flush()
+            kept.clear()
+    except OSError as failure:
+        raise UsageError(
+            f"the rows of the log cannot be kept in {gettempdir()}: {failure.strerror}; make room there, or name "
+            "another folder in TMPDIR"
+        ) from failure

@@ -38,10 +38,6 @@ class FrameReader(LogReader):
         self.names = tuple(self._frame.named)
         self.notes = {str(key): str(note) for key, note in dict(getattr(frame, "attrs", None) or {}).items()}
 
-    @property
-    def sha256(self) -> str | None:
-        return super().sha256 if self.source.path else None
-
     def has_times(self, name: str, beside: int) -> bool:
         dimensions = self._frame.dimensions
         if not super().has_times(name, beside) or dimensions(name) != dimensions(self.names[beside]):

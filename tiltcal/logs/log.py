@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, BinaryIO, ClassVar
+from typing import TYPE_CHECKING, BinaryIO, ClassVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,9 +61,7 @@ class LogBlock:
 
     def framed(self) -> pl.DataFrame:
         """Return all columns with their types, in a block that was asked for them."""
-        if self.frame is None:
-            raise TypeError("the columns of this block have no types")
-        return self.frame
+        return cast("pl.DataFrame", self.frame)
 
     def readings(self, columns: Sequence[int]) -> Array:
         """Return some columns side by side, shape (n, columns), each of them contiguous."""
@@ -166,7 +164,7 @@ class LogReader(ABC):
     @property
     def sha256(self) -> str | None:
         """The checksum of the log, hexadecimal; None of a frame."""
-        return sha256_of(self.source.path)
+        return sha256_of(self.source.path) if self.source.path else None
 
     def rows(
         self,

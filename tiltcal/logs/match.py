@@ -39,7 +39,8 @@ _TURNS_OF_SEGMENT, _LONGEST_SEGMENT = 8, 1 << 18  # turns and, at the most, rows
 class PairLog:
     """A log of pairs, demodulated: so many ``turns`` of the stage in ``rows``, others being left out (``missing``).
 
-    ``extent`` is from the first row to the last, in seconds; in rows where there is no time (``timed`` is False).
+    ``frequency`` is that of the spin, Hz, and ``rate`` that of the rows; both per row where there is no time (``timed``
+    is False).
     """
 
     record: StageRecord
@@ -47,18 +48,9 @@ class PairLog:
     turns: float
     rows: int
     missing: int
-    extent: float
+    frequency: float
+    rate: float
     timed: bool
-
-    @property
-    def frequency(self) -> float:
-        """The frequency of the spin, Hz, or turns a row."""
-        return self.turns / self.extent
-
-    @property
-    def rate(self) -> float:
-        """Rows per second, or 1."""
-        return (self.rows + self.missing - 1) / self.extent
 
     def densities(self, matching: Matching) -> tuple[Array, dict[str, Array]]:
         """Return frequencies, and the densities of the source's figure 6 by Welch's method; unit²/Hz.
@@ -138,7 +130,12 @@ def match_log(
             estimates = [solve(whole, pair) for pair in pairs]
         matchings = tuple(match(whole, pair, estimate) for pair, estimate in zip(pairs, estimates, strict=True))
     for matching in () if online else matchings:
-        _say_drift(matching, whole, say)
+        if changes := drifts(whole, matching):
+            clear = " and ".join(f"{name} by {change:.2g}" for name, change in changes.items())
+            say(
+                f"{matching.pair.first} and {matching.pair.second} drift, {clear} over the record, and the result is "
+                "the mean; match shorter parts of it, or find with --online what it is at the end"
+            )
     rows = read.rows + read.missing
     if read.missing:
         say(f"{read.missing} of {rows} rows are left out: a value is missing, or the stage does not turn on")
@@ -151,17 +148,6 @@ def match_log(
     )
     spin = SpinRecord(turns=read.turns, frequency=read.frequency if read.timed else None, phase=phase)
     return PairRecord(spin=spin, online=online, matchings=matchings, provenance=provenance), read, course
-
-
-def _say_drift(matching: Matching, record: Demodulation, say: Callable[[str], None]) -> None:
-    pair = matching.pair
-    changes = drifts(record, matching)
-    if changes:
-        clear = " and ".join(f"{name} by {change:.2g}" for name, change in changes.items())
-        say(
-            f"{pair.first} and {pair.second} drift, {clear} over the record, and the result is the mean; match shorter "
-            "parts of it, or find with --online what it is at the end"
-        )
 
 
 def _estimators(pairs: Sequence[Pair], record: StageRecord, say: Callable[[str], None]) -> list[Online]:
@@ -214,7 +200,8 @@ def read_pair_log(
     known = time[np.isfinite(time)]
     if not (timed and len(known) and (extent := float(known[-1] - known[0])) > 0.0):
         timed, extent = False, len(numbers) - 1.0
-    return PairLog(record, demodulation, turns, rows, len(numbers) - rows, extent, timed)
+    rate = (len(numbers) - 1.0) / extent
+    return PairLog(record, demodulation, turns, rows, len(numbers) - rows, turns / extent, rate, timed)
 
 
 @contextmanager

@@ -215,7 +215,8 @@ def _longest(rows: NDArray[np.intp], usable: NDArray[np.bool_]) -> tuple[int, in
 
 def intervals_of_table(positions: Sequence[TabledPosition]) -> list[StaticInterval]:
     """Return what a table of positions states of each."""
-    step = 10.0 ** -max(_digits(mean) for position in positions for mean in position.mean.values())
+    means = [Decimal(repr(float(mean))) for position in positions for mean in position.mean.values()]
+    step = 10.0 ** min(0, *(cast(int, mean.normalize().as_tuple().exponent) for mean in means))
     intervals = []
     for position, name in zip(positions, distinct((position.name for position in positions), AGAIN), strict=True):
         where = {} if position.line is None else {"line": position.line}
@@ -438,8 +439,3 @@ def _tabled(position: TabledPosition, step: float) -> dict[str, SampleSummary]:
     if position.u is None:
         return {name: SampleSummary(mean, 0.0, n, rounding, rounding, resolution=step) for name, mean in means}
     return {name: SampleSummary(mean, position.u[name] * sqrt(n), n, position.u[name]) for name, mean in means}
-
-
-def _digits(number: float) -> int:
-    """Return how many digits a number has behind the point."""
-    return max(0, -cast(int, Decimal(repr(float(number))).normalize().as_tuple().exponent))

@@ -53,13 +53,8 @@ def test_times_that_show_no_pace(times: list[float], said: str) -> None:
         paced(times)
 
 
-def test_times_in_iso_8601() -> None:
-    seconds = [*range(40), *range(43, 70)]
-    time = [f"2026-01-02T03:{4 + second // 60:02}:{second % 60:02}Z" for second in seconds]
-    x = np.random.default_rng(1).normal(size=len(time))
-    assert tiltcal.noise({"x": x[:64]}, rate=1.0).channels["x"].count == 64
-    found = tiltcal.noise({"time": time, "x": x})
-    assert found.pace == Pace(interval=pytest.approx(1.0), rows=67, gaps=1, lost=3)
+def test_the_fewest_samples_are_64() -> None:
+    assert tiltcal.noise({"x": np.random.default_rng(1).normal(size=64)}, rate=1.0).channels["x"].count == 64
 
 
 def test_times_to_the_second_are_those_of_faster_rows() -> None:

@@ -81,10 +81,9 @@ class CsvReader(LogReader):
             dialect = dialect_of(lines)
         except ValueError as failure:
             raise self.text.error(f"{failure}: is this a log?") from None
-        named = [name for name in dialect.names if name]
-        if len({*named}) < len(named):
-            twice = next(name for place, name in enumerate(named) if name in named[:place])
-            why = f"the header names column {twice!r} twice: rename one of them"
+        twice = [name for name, times in Counter(filter(None, dialect.names)).items() if times > 1]
+        if twice:
+            why = f"the header names column {twice[0]!r} twice: rename one of them"
             raise InputError(why, file=self.name, line=1 + (dialect.named or 0))
         return dialect
 

@@ -107,8 +107,8 @@ class CsvText:
         while (len(data) < _TOP or data.count(b"\n") < 2) and (more := self._read()):
             if not data:
                 refuse_binary(more, self._source.name)
-                if more.startswith((BOM_UTF16_LE, BOM_UTF16_BE)):
-                    self._decoder = getincrementaldecoder("utf-16")("replace")
+                if (encoding := _wide(more)) is not None:
+                    self._decoder = getincrementaldecoder(encoding)("replace")
                     more = self._decoder.decode(more).encode(errors="replace")
             data += more
             pending = data[data.rfind(b"\n") + 1 :]
@@ -137,3 +137,11 @@ def charset_of(head: bytes) -> str:
         beyond = sum(character > "\x7f" for character in text)
         return "utf-8" if beyond > 2 * text.count("\ufffd") else "cp1252"
     return "utf-8"
+
+
+def _wide(data: bytes) -> str | None:
+    """Return which UTF-16 data are in, by their mark or by the zeros in every other byte; None where in none."""
+    if data.startswith((BOM_UTF16_LE, BOM_UTF16_BE)):
+        return "utf-16"
+    high = {"utf-16-le": data[1:1024:2], "utf-16-be": data[:1024:2]}
+    return next((encoding for encoding, zeros in high.items() if any(data[:1024]) and zeros and not any(zeros)), None)

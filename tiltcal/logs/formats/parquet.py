@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import AbstractContextManager
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
@@ -23,6 +22,7 @@ if TYPE_CHECKING:
 
 _ROWS = 1 << 16  # of a block: as many as stay in the cache on their way through the kernel, twice over
 _ROW_GROUP = 1 << 18  # rows of a written file that are packed together; so many are in memory at once
+_DAMAGED = "this is no Parquet file, or a damaged one"
 _LEVEL = 1  # of the compression: readings with noise are 2 % larger than at the engine's own level, in half the time
 _OF_THE_ENGINE = "ARROW:schema"
 """The key under which a writer keeps the types in its own words; the next one writes its own."""
@@ -36,7 +36,7 @@ class ParquetReader(LogReader):
 
         super().__init__(source)
         path = Path(source.path)
-        with self._refusing_damage(), foreign_library.get()(self.name):
+        with refusing(_DAMAGED, self.name), foreign_library.get()(self.name):
             self._scan = pl.scan_parquet(path, glob=False, hive_partitioning=False)
             self._schema = self._scan.collect_schema()
             self.notes = {key: note for key, note in pl.read_parquet_metadata(path).items() if key != _OF_THE_ENGINE}
@@ -52,7 +52,7 @@ class ParquetReader(LogReader):
     def _blocks(self, columns: Sequence[int], time: int | None, frames: bool) -> Iterator[LogBlock]:
         done = 0
         scan = self._scan if frames else self._scan.select([self.names[index] for index in columns])
-        with self._refusing_damage():
+        with refusing(_DAMAGED, self.name):
             for frame in scan.collect_batches(chunk_size=_ROWS, maintain_order=True):
                 values = {index: self._values(frame[self.names[index]], index, time) for index in columns}
                 done += len(frame)
@@ -62,9 +62,6 @@ class ParquetReader(LogReader):
         if done != self._rows:
             # The engine ends in silence where one of its threads fails on a damaged page.
             raise InputError(f"the file is damaged: it gives {done} of {self._rows} rows", file=self.name)
-
-    def _refusing_damage(self) -> AbstractContextManager[None]:
-        return refusing("this is no Parquet file, or a damaged one", self.name)
 
 
 class ParquetWriter(LogWriter):

@@ -161,25 +161,15 @@ class TestText:
             found = b"".join(line + end for line in (door.header, *rows))
             assert found == (content.decode("latin-1").encode() if content in latin else content)
 
-    @pytest.mark.parametrize("block", [1, 7, 1 << 20])
-    def test_utf_16_has_a_mark(self, block: int) -> None:
-        for encoding, mark in (("utf-16-le", b"\xff\xfe"), ("utf-16-be", b"\xfe\xff")):
-            door = log(mark + "time,x,y°\r\n1,2,3\n4,5,6".encode(encoding), block=max(block, 2))
-            found = [
-                (value, line) for rows in door.rows([1]) for value, line in zip(rows.values[1], rows.lines, strict=True)
-            ]
-            assert (door.names, door.text.encoding, found) == (
-                ("time", "x", "y°"),
-                "UTF-16",
-                [(2.0, "1,2,3"), (5.0, "4,5,6")],
-            )
-        with pytest.raises(InputError, match="this is no CSV text: save the log as CSV in UTF-8"):
-            log("time,x,y\n1,2,3\n".encode("utf-16-le"))
-
-    def test_a_byte_order_mark_belongs_to_no_name(self) -> None:
-        door = log(b"\xef\xbb\xbftime,x,y\n1,2,3\n")
-        assert door.names == NAMES
-        assert door.header == b"\xef\xbb\xbftime,x,y"
+    @pytest.mark.parametrize("block", [2, 7, 1 << 20])
+    def test_a_mark_belongs_to_no_name_and_utf_16_needs_none(self, block: int) -> None:
+        for encoding, mark in (("UTF-16-le", b"\xff\xfe"), ("UTF-16-be", b"\xfe\xff"), ("UTF-8", b"\xef\xbb\xbf")):
+            for begin in (b"", mark):
+                door = log(begin + "time,x,y°\r\n1,2,3\n4,5,6".encode(encoding), block=block)
+                assert (door.names, door.text.encoding) == (("time", "x", "y°"), encoding[:6].rstrip("-"))
+                assert door.header == (begin if encoding == "UTF-8" else b"") + "time,x,y°".encode()
+                rows = [row for block in door.rows([1]) for row in zip(block.values[1], block.lines, strict=True)]
+                assert rows == [(2.0, "1,2,3"), (5.0, "4,5,6")]
 
 
 class TestHeader:
