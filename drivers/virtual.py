@@ -146,10 +146,7 @@ class Truth:
 
 def _powers(coefficients: Polynomial, variable: float, lowest: int) -> float:
     """Return a polynomial that begins with a power."""
-    total = 0.0
-    for power, coefficient in enumerate(coefficients, lowest):
-        total += coefficient * variable**power
-    return total
+    return sum((coefficient * variable**power for power, coefficient in enumerate(coefficients, lowest)), 0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -263,10 +260,6 @@ class Fixture:
         if temperature is not None and temperature != self._changes[-1].target:
             change = Change(self._clock.now_ns(), self.temperature(), temperature, pace / 60.0, self._time_constant)
             self._changes.append(change)
-
-    def turned(self, seen: Callable[[Vector], Vector]) -> Pose:
-        """Return the pose of a sensor that is rotated on the fixture."""
-        return Pose(self, seen)
 
     def temperature(self, lag: float = 0.0) -> float:
         """Return the temperature of the chamber now, °C, or of what follows it with a time constant of ``lag`` s."""

@@ -84,20 +84,6 @@ def test_the_dialogue_is_the_contract(way: str, tmp_path: Path, monkeypatch: pyt
     assert written.procedure.set["y-tilt1"] == PositionSet(tilt={"y": 30.5})
 
 
-def test_a_program_is_told_how_far_three_axes_are_off(tmp_path: Path) -> None:
-    """The virtual jig is exact: what the first face shows is the offset of the part, some degrees at most."""
-    options = "--sensor adxl345 --address sim:?seed=3 --serial S-1 -o S-1.yaml --samples 10"
-    led = lead(
-        *("measure", "six-face", *options.split()),
-        cwd=tmp_path,
-    )
-    off = led.events("accepted")[0]["off"]
-    assert set(off) == {"angle", "+Y", "+Z"}
-    assert off["angle"] == pytest.approx((off["+Y"] ** 2 + off["+Z"] ** 2) ** 0.5, abs=0.01)
-    assert 0.0 < off["angle"] < 10.0
-    assert led.events("accepted")[-1]["off"]["angle"] < 1.0
-
-
 def test_a_program_is_told_once_a_minute_what_is_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The chamber takes its time to 5.5 °C by the bench's clock, which is virtual."""
     monkeypatch.setattr(settle, "SOAK_LOOKS", 50)

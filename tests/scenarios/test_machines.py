@@ -99,6 +99,7 @@ def test_a_night_without_a_person_and_with_a_power_cut(tmp_path: Path) -> None:
         said = [json.loads(line) for line in done.stdout.splitlines()]
         assert not [one for one in said if "ask" in one]
         assert [one["position"] for one in said if one.get("event") == "accepted"][-1] == "back-24"
+        assert all({*one["sensors"]} == {"A-0", "A-1"} for one in said if one.get("event") == "accepted")
         waits = [one["seconds"] for one in said if one.get("event") == "waiting" and one["position"] == "up-40"]
         assert waits[:3] == [60, 120, 180], "once a minute of the bench's clock"
         for number in range(2):

@@ -3,6 +3,7 @@
 import re
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -14,7 +15,6 @@ from tiltcal import Calibration, measure
 from tiltcal.bench import devices, settle
 from tiltcal.drivers.virtual import Fixture, VirtualPart
 from tiltcal.errors import Stopped
-from tiltcal.files.results import PositionSet
 
 TWIN = """\
 tiltcal: 1
@@ -78,13 +78,6 @@ def word(value: int) -> bytes:
 def degrees(celsius: float) -> bytes:
     """An SCA100T's thermometer: T = (counts - 197) / -1.083."""
     return bytes([0, max(0, min(255, round(197 - 1.083 * celsius)))])
-
-
-class Rig:
-    """Answers the positions by a function."""
-
-    def __init__(self, answer: Callable[[dict[str, Any]], dict[str, Any]]) -> None:
-        self.position = answer
 
 
 # A channel that is dead, stuck, frozen or far off
@@ -162,11 +155,11 @@ def test_a_closing_visit_shows_a_sensor_that_was_knocked(monkeypatch: pytest.Mon
     assert p[0] < 1e-3 < p[1]
 
 
-def test_what_was_typed_is_what_is_judged() -> None:
-    """Level typed for the second position, and level taken: odd, but consistent, so it counts as typed."""
-    level = {"gravity": [0.0, 0.0, 1.0]}
-    found = session(operator=Rig(lambda ask: {"answer": "ready"} | (level if ask["position"] == "x-tilt2" else {})))
-    assert found.record.procedure.set["x-tilt2"] == PositionSet(gravity=(0.0, 0.0, 1.0))
+def test_a_sensor_whose_offset_nobody_states_is_said_to_be_compared_with_itself_alone() -> None:
+    said: list[str] = []
+    session(said=said, sensor="serial-columns", address="sim:columns=x,y&unit=V&sensitivity=2", samples=5)
+    assert any(re.fullmatch(r"S-1: \d\d+ lines, 0 damaged", one) for one in said)
+    assert any("S-1: no offset= is stated, so that positions are compared with each other" in one for one in said)
 
 
 # Temperatures
@@ -225,5 +218,5 @@ def test_a_temperature_is_waited_for_again_after_another_one(monkeypatch: pytest
     Path("parted.yaml").write_text(PARTED)
     twin_with("time_constant: 60.0")
     words = iter(["ready", "ready", "ready", "back", "back"])
-    found = session("parted.yaml", operator=Rig(lambda ask: {"answer": next(words, "ready")}))
+    found = session("parted.yaml", operator=SimpleNamespace(position=lambda ask: {"answer": next(words, "ready")}))
     assert found.positions[1].temperature == pytest.approx(24.0, abs=2.0 + 0.92)

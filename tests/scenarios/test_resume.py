@@ -4,6 +4,7 @@ import random
 import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -163,8 +164,9 @@ def test_cut_anywhere(
             assert sum(taken) == sum(event.kind == "s" for event in Journal(tmp_path / JOURNAL)) // 3
 
 
-def test_a_temperature_that_was_reached_needs_no_new_soak(tmp_path: Path) -> None:
-    """The chamber takes minutes to its temperature; after the break the next position is taken in seconds."""
+@pytest.mark.parametrize("typed", [0.0, 3.5])
+def test_a_temperature_that_was_reached_needs_no_new_soak(typed: float, tmp_path: Path) -> None:
+    """The chamber takes minutes to it; after the break the next position is taken in seconds, whatever was typed."""
     (tmp_path / "twin.yaml").write_text(TWIN + "  time_constant: 60.0\n")
     (tmp_path / "own.yaml").write_text(
         "tiltcal: 1\nkind: procedure\nname: own\ntitle: Two positions in the cold\ndetermines: {axes: [], drift: 1}\n"
@@ -175,18 +177,20 @@ def test_a_temperature_that_was_reached_needs_no_new_soak(tmp_path: Path) -> Non
     )
     options = {"sensor": "sca100t-d02", "serial": "S-1", "samples": 10}
     where = {"address": f"sim:?twin={tmp_path}/twin.yaml", "output": tmp_path / "S-1.yaml"}
-    measure_here(tmp_path / "own.yaml", operator="sim", **options, **where)  # type: ignore[arg-type]
+    rig = SimpleNamespace(position=lambda ask: {"answer": "ready", "temperature": ask["temperature"] + typed})
+    operator: Any = rig if typed else "sim"
+    measure_here(tmp_path / "own.yaml", operator=operator, **options, **where)  # type: ignore[arg-type]
     path = tmp_path / JOURNAL
     lines = path.read_bytes().splitlines(keepends=True)
     cold = [place for place, line in enumerate(lines) if b'"p"' in line][1]
     path.write_bytes(b"".join(lines[: cold + 1]))
-    measure_here(resume=path)
+    measure_here(resume=path, operator=operator)
     events = list(Journal(path))
     again = next(place for place, event in enumerate(events) if event.kind == "resumed")
     accepted_at = next(place for place, event in enumerate(events) if place > again and event.kind == "p")
     assert sum(event.dt_ns for event in events[again:accepted_at]) < 20e9
     temperatures = [one.temperature for one in read_calibration(tmp_path / "S-1.yaml").positions]
-    assert temperatures[2] == pytest.approx(5.5, abs=2.0 + 0.92)
+    assert temperatures[2] == pytest.approx(5.5 + typed, abs=0.0 if typed else 2.0 + 0.92)
 
 
 def test_options_beside_resume_change_nothing_and_a_torn_line_is_dropped(

@@ -80,6 +80,10 @@ def test_a_face_askew_is_refused_at_the_end_and_asked_for_again(
     assert [event["position"] for event in refused] == wrong[::-1]
     assert re.search(rf"{wrong[-2]} or {wrong[-1]} is wrong: .* contradict the readings by up to ", refused[-1]["why"])
     assert taken(led) == FACES + wrong
+    told = [event["off"] for event in led.events("accepted") if event["position"] == "y-up"]
+    assert [set(one) for one in told] == [{"angle", "+X", "+Z"}] * 2
+    assert [np.hypot(one["+X"], one["+Z"]) for one in told] == pytest.approx([one["angle"] for one in told], abs=0.01)
+    assert told[0]["angle"] - told[1]["angle"] == pytest.approx(off, abs=3.0)
     require_right(tmp_path, dict.fromkeys(wrong, 2))
 
 

@@ -3,8 +3,13 @@
 from pathlib import Path
 
 import pexpect
+import pytest
 from support.command import TILTCAL, measure, tiltcal
 from support.warm_start import WarmStart
+
+from tiltcal.bench.messages import PositionQuestion, Progress, Question, SessionEvent
+from tiltcal.bench.operators import VirtualJig
+from tiltcal.drivers.bus.clock import VirtualClock
 
 
 def start(program: list[str], folder: Path, *options: str, procedure: str = "zero-45") -> pexpect.spawn:
@@ -71,7 +76,22 @@ def test_ctrl_c_stops_and_keeps(warm: WarmStart, tmp_path: Path) -> None:
     )
 
 
-def test_the_time_that_remains_is_that_of_the_windows(tmp_path: Path) -> None:
-    """Two temperatures at a thermometer that may be 360 s late, and twice 100 samples at 100 a second: 722 s."""
+def test_the_time_that_remains_is_learnt(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each position holds for 300.2 s; its person takes 100 s, 300 s and 400 s, and 100 s: the median counts."""
+    clock, moves, left = VirtualClock(), iter([100.0, 300.0, 400.0, 100.0, 100.0]), list[str]()
+
+    class Slow(VirtualJig):
+        def ask(self, question: Question) -> object:
+            clock.sleep(move := next(moves) if isinstance(question, PositionQuestion) else 0.0)
+            return {"answer": "redo"} if move == 300.0 else super().ask(question)
+
+        def tell(self, event: SessionEvent) -> None:
+            left.extend([event.left] if isinstance(event, Progress) else [])
+
+    monkeypatch.setattr("tiltcal.bench.measure.VirtualJig", Slow)
+    monkeypatch.setattr("tiltcal.bench.session.session_clock", lambda *_, **__: clock)
+    measure("--samples", "20", "--settle", "300", cwd=tmp_path, code=0)
+    assert left == ["at least 21 min left", *(f"about {minutes} min left" for minutes in (21, 21, 24, 7))]
+    # Two temperatures at a thermometer that may be 360 s late, and twice 100 samples at 100 a second: 722 s.
     result = measure("--operator", "terminal", "--plain", cwd=tmp_path, procedure="two-temperature", said="q\n")
     assert "1/2  level-warm   at least 13 min left" in result.stderr

@@ -1,5 +1,6 @@
 """Devices that are known by their manual alone: what is sent, what is a reading, and what is none."""
 
+import re
 from collections.abc import Iterable, Mapping
 from functools import reduce
 from math import asin, degrees
@@ -158,6 +159,8 @@ def test_a_device_is_probed_measured_and_replayed_by_its_file_alone(tmp_path: Pa
         tiltcal("live", tmp_path / "B-1.yaml", "--address", f"serial://{path}", "--for", "0.1", "--rate", "20", code=0)
     file = yaml.safe_load((tmp_path / "B-1.yaml").read_text())
     assert (file["sensor"]["model"], file["sensor"]["unit"], file["sensor"]["reads"]) == ("tilt-box", "deg", "angle")
+    # A box without noise: what it rounds to a thousandth of a degree is uncertain by 0.001° / √12.
+    assert [one["u"]["x"] for one in file["positions"]] == pytest.approx([0.001 / 12**0.5] * 4, rel=1e-3)
     tiltcal("replay", "B-1.journal.jsonl", "--golden", "B-1.yaml", cwd=tmp_path, code=0)
     bench = tmp_path / "bench.yaml"
     bench.write_text('tiltcal: 1\nkind: bench\nsensors: [{serial: N, model: box.yaml, address: "sim:"}]\n')
@@ -176,7 +179,8 @@ def test_a_check_sum_of_one_byte_and_what_is_no_number(tmp_path: Path) -> None:
     )
     sensor = model.driver(line, VirtualClock())
     assert [sensor.read().values for _ in range(2)] == [(1.25,), (-2.5,)]
-    with pytest.raises(BusError, match=r"x is '\+\.-', no number with a decimal point"):
+    heard = repr(("X=+.-\xd2\r\n" * 50)[-120:])
+    with pytest.raises(BusError, match=re.escape(f"only {heard}: x is '+.-', no number with a decimal point")):
         sensor.read()
     assert sensor.link_statistics() == {"answers": 2, "damaged": 151}
     clock = VirtualClock()

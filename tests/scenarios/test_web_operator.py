@@ -8,18 +8,16 @@ import socket
 import subprocess
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from math import asin, degrees
 from pathlib import Path
 from typing import Any
 
 import pytest
-from support import FIXTURES
 from support.command import tiltcal
 from support.warm_start import WarmStart
 from support.web_client import WebClient, session
 
 from tiltcal import measure
-from tiltcal.bench.guidance import CALIBRATED, OWN_FRAME
+from tiltcal.bench.guidance import CALIBRATED
 from tiltcal.bench.page_server import host_and_port
 from tiltcal.bench.page_token import PageToken
 from tiltcal.errors import Stopped, UsageError
@@ -35,31 +33,6 @@ def accept(page: WebClient, *positions: str) -> None:
     for position in positions:
         assert page.answer(page.asked("position", position), "ready") == 204
         assert page.answer(page.asked("review", position), "accept") == 204
-
-
-def guide_at(page: WebClient, position: str) -> dict[str, Any]:
-    """Return what the page draws while a position is asked for."""
-    page.asked("position", position)
-    guide: dict[str, Any] = page.until(lambda one: one["guide"])["guide"]
-    return guide
-
-
-@pytest.mark.parametrize("procedure", ["level", "mounting"])
-def test_what_completes_a_calibration_shows_calibrated_angles(procedure: str, tmp_path: Path) -> None:
-    """A sensor that sits askew by roll 1.5° and pitch -1.0°, on a table that is level."""
-    twin = (FIXTURES / "twins" / "sca100t-d02.yaml").read_text(encoding="utf-8")
-    (tmp_path / "askew.yaml").write_text(twin + "  mounting: {roll: 1.5, pitch: -1.0}\n", encoding="utf-8")
-    options = {"base": FIXTURES / "complete.yaml", "serial": "SIM-42", "address": f"sim:twin={tmp_path / 'askew.yaml'}"}
-    with session(procedure, **sensor(tmp_path, **options)) as (page, _):
-        seen = guide_at(page, "level")
-        x, y, _ = (degrees(asin(one)) for one in seen["sensors"][0]["present"])
-        assert (abs(x), abs(y)) == pytest.approx((1.0, 1.5), abs=0.25)
-        assert seen["ok"] is None
-        if procedure == "mounting":
-            assert (seen["target"], seen["note"]) == (None, OWN_FRAME)
-        else:
-            assert (seen["fits"], seen["note"]) == (True, CALIBRATED)
-            assert seen["sides"] == ["+X", "+Y"]
 
 
 def journal(folder: Path) -> str:
@@ -81,7 +54,8 @@ def test_the_whole_way_with_results_report_and_verification(tmp_path: Path) -> N
         page.until(lambda one: one["results"] and one["results"][0].get("report"))
         assert page.request("GET", "/report/S-1")[2] == (tmp_path / "S-1.html").read_bytes()
         assert page.answer(page.asked("afterwards"), "verify") == 204
-        seen = guide_at(page, "level")
+        page.asked("position", "level")
+        seen = page.until(lambda one: one["guide"])["guide"]
         assert abs(seen["worst"]["angle"]) < 0.3
         assert (seen["ok"], seen["fits"], seen["note"]) == (None, True, CALIBRATED)
         accept(page, "level", "x-up", "x-down", "y-up", "y-down", "both-up")

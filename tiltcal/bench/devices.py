@@ -33,25 +33,25 @@ class VirtualBench:
     """Makes the twins of a session and the fixture that holds them."""
 
     def __init__(self, clock: Clock, devices: Sequence[BenchSensor]) -> None:
-        self._clock = clock
-        self._first = next((device for device in devices if device.simulated), None)
+        self._clock, self._devices = clock, devices
 
     @cached_property
     def fixture(self) -> Fixture:
         """The jig and the chamber, with the errors that the truth of the first virtual sensor states."""
         from tiltcal.drivers.virtual import Fixture
 
-        if self._first is None:
-            return Fixture(self._clock)
-        truth = truth_of(self._first.parsed_address, self._first.wired)
+        first = next(device for device in self._devices if device.simulated)
+        truth = truth_of(first.parsed_address, first.wired)
         return Fixture(
             self._clock, seed=truth.seed, jig=truth.jig, ambient=truth.ambient, time_constant=truth.time_constant
         )
 
     def twin(self, device: BenchSensor) -> Link:
         """Return the virtual sensor behind a ``sim:`` address."""
+        from tiltcal.drivers.virtual import Pose
+
         truth = truth_of(device.parsed_address, device.wired)
-        return device.wired.twin(truth, self.fixture.turned(_to_sensor(device, truth)), self._clock)
+        return device.wired.twin(truth, Pose(self.fixture, _to_sensor(device, truth)), self._clock)
 
 
 def _to_sensor(device: BenchSensor, truth: Truth) -> Callable[[Vector], Vector]:

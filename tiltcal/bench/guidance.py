@@ -62,7 +62,7 @@ class Difference(NamedTuple):
     @property
     def share(self) -> float | None:
         """The share of the tolerance that it is."""
-        return None if self.angle is None or not self.tolerance else abs(self.angle) / self.tolerance
+        return None if self.angle is None else abs(self.angle) / self.tolerance
 
 
 @dataclass(frozen=True)

@@ -58,12 +58,10 @@ def known_bench(document: Document) -> BenchFile:
     return bench
 
 
-def single(
-    model: str, serial: str, address: str, jig: float | None = None, device: DeviceFile | None = None
-) -> BenchFile:
+def single(model: str, serial: str, address: str, device: DeviceFile | None = None) -> BenchFile:
     """Return a bench of one sensor, which needs no file but that of a text device."""
     require_printable(serial, "the serial number")
-    return BenchFile((with_device_file(BenchSensor(serial, model, address, device=device)),), jig=jig)
+    return BenchFile((with_device_file(BenchSensor(serial, model, address, device=device)),))
 
 
 def free_journal(output: Path, remark: Callable[[str], None]) -> Path:

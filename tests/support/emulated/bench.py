@@ -96,10 +96,6 @@ class Bench:
         """Let the part send its fault signal."""
         self._order(broken=True)
 
-    def kill(self, signal: int) -> None:
-        """Send a signal to the program."""
-        self._order(kill=int(signal))
-
     def messages(self) -> list[Message]:
         """Every SPI message or I2C transaction that was answered so far."""
         rows = self._order(messages=True)["messages"]

@@ -156,6 +156,7 @@ def test_what_the_reading_of_a_position_is_refused_for(
     bench = BenchFile(tuple(sensor(serial, model) for serial in serials))
     steps = find_procedure(procedure)
     setup = new_setup(steps, bench, [Path(f"{serial}.yaml") for serial in serials], Path("j"), operator="sim")
+    assert not setup.typical_temperature
     accepted = [taken(procedure, model, one, **{"serials": serials, **other}) for one, other in before]
     open_ = [one for one in steps.positions if one.name not in dict(before)]
     alike: list[str] = []

@@ -6,11 +6,15 @@ from math import asin, cos, degrees, radians, sin
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from support import FIXTURES
 
-from tiltcal.bench.guidance import guidance, level_sides, too_high
+from tiltcal.bench.guidance import calibrated_guidance, guidance, level_sides, note_on, too_high
+from tiltcal.calibration.record import compensation_of
 from tiltcal.core.attitude import STRAIGHT, gravity_from_tilt, orientation
 from tiltcal.core.plausibility import ExpectedReadings
 from tiltcal.drivers import find_model
+from tiltcal.files.calibration import read_calibration
+from tiltcal.files.twin import read_twin
 
 SCA100T = find_model("sca100t-d02")  # 1024 counts at 0 g, 819 count/g
 UP_30 = gravity_from_tilt({"x": 30.0})
@@ -96,20 +100,23 @@ FACES = [(1.0, 0.0, 0.0), (-1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, -1.0, 0.0), (
 ADXL345 = find_model("adxl345")
 
 
-def test_a_thousand_parts_of_three_axes_set_exactly_are_off_by_their_offset_at_most() -> None:
-    """An offset b turns the direction that is read by asin(|b|) at most; what was learnt only takes from that."""
-    offsets = np.random.default_rng(37).normal(0.0, 0.05, (1000, 3))
-    for number, offset in enumerate(offsets):
-        sits = orientation([("x", "y"), ("-y", "x"), ("z", "-x")][number % 3])
-        learnt, most = expected(ADXL345), degrees(asin(float(np.linalg.norm(offset))))
-        for face in FACES if number < 40 else FACES[number % 6 :][:1]:
-            values = ADXL345.offset + ADXL345.sensitivity * (np.array(sits.seen(face)) + offset)
-            shown = guidance(ADXL345, sits, values.tolist(), face, learnt)
-            angle = shown.differences[""].angle
-            assert angle is not None
-            assert angle <= most + 1e-9
-            assert np.hypot(*shown.sides.values()) == pytest.approx(angle)
-            learnt.learn(sits.seen(face), values)
+def test_a_calibrated_angle_is_never_called_ok_and_says_where_it_is_far_away() -> None:
+    calibrated = compensation_of(read_calibration(FIXTURES / "complete.yaml"))
+    _, truth = read_twin(FIXTURES / "twins" / "sca100t-d02.yaml")
+    read = [truth.reading(channel, UP_30, 24.0) for channel in "xy"]
+    near, far, own = (
+        calibrated_guidance(calibrated, STRAIGHT, read, 24.0, gravity_from_tilt({"x": asked}), tolerance)
+        for asked, tolerance in ((31.0, 3.0), (20.0, 3.0), (31.0, None))
+    )
+    assert near.tilts["x"] == (pytest.approx(31.0), pytest.approx(30.0, abs=0.1))
+    assert own.tilts["x"] == (None, far.tilts["x"].present) == (None, near.tilts["x"].present)
+    assert near.differences["x"] == (pytest.approx(-1.0, abs=0.1), 3.0, True)
+    assert [(one.fits, one.ok) for one in (near, far, own)] == [(True, None), (False, None), (None, None)]
+    assert near.in_words()[0] == f"x  {near.tilts['x'].present:+.2f}° ({near.differences['x'].angle:+.2f})"
+    note = "calibrated angles: set the table by its own scale, not by this number"
+    away = f"more than 3° away, is this the position? {note}"
+    assert [note_on([one]) for one in (near, far)] == [note, away]
+    assert note_on([own]) == "calibrated angles, in the sensor's own frame"
 
 
 def test_two_sides_are_level_across_each_other_and_nearest_to_level_in_any_attitude() -> None:

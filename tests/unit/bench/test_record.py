@@ -1,6 +1,7 @@
 """A log that only grows: its rows are whole and counted, whenever Ctrl-C comes."""
 
 import os
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import cast
@@ -35,76 +36,75 @@ def test_ctrl_c_at_a_row(written: int | None, rows: int, tmp_path: Path, monkeyp
     assert path.read_text() == "".join(["time,x\n", "0,1024\n", "1,1025\n"][: rows + 1])
 
 
-class Printer:
-    """A device that prints its age in seconds once a second; what is not read waits in the port."""
+class Scheduled:
+    """A device whose readings take these seconds, the next of a list; one of none, or of fewer, fails afterwards."""
 
-    def __init__(self, clock: VirtualClock) -> None:
-        self._clock = clock
-        self._taken = -1
-
-    def read(self) -> Reading:
-        self._taken += 1
-        if self._taken * 10**9 > self._clock.now_ns():
-            self._clock.seek(self._taken * 10**9)
-        return Reading((float(self._taken),))
+    def __init__(self, clock: VirtualClock, *seconds: float) -> None:
+        self._clock, self._seconds, self.asked = clock, list(seconds), list[tuple[str, float]]()
 
     def discard(self) -> None:
-        self._taken = self._clock.now_ns() // 10**9
-
-
-class Silent:
-    """A device that is dead: each reading waits for five seconds in vain."""
-
-    def __init__(self, clock: VirtualClock) -> None:
-        self._clock = clock
+        self.asked.append(("discard", self._clock.now_ns() / 1e9))
 
     def read(self) -> Reading:
-        self._clock.sleep(5.0)
-        raise BusError("silent")
+        self.asked.append(("read", self._clock.now_ns() / 1e9))
+        seconds = self._seconds.pop(0)
+        self._clock.sleep(abs(seconds))
+        if seconds <= 0.0:
+            raise BusError("gone")
+        return Reading((1.0,))
 
-    def discard(self) -> None:
-        raise BusError("gone")
+
+STARTED = datetime(2026, 1, 1, tzinfo=UTC)
 
 
-class Unplugged(Silent):
-    """A device that is not there: each reading fails at once."""
-
-    def read(self) -> Reading:
-        raise BusError("gone")
+def bench(*devices: Scheduled) -> SensorSet:
+    """Sensors A, B, ... that print x."""
+    named = [BenchSensor(name, "serial-columns", "serial:///dev/null?columns=x") for name in "AB"[: len(devices)]]
+    return SensorSet(named, [cast(Sensor, device) for device in devices])
 
 
 def test_a_dead_sensor_makes_no_reading_of_another_one_old(tmp_path: Path) -> None:
-    """Every row holds a number that was printed within a second of the row's time."""
+    """It is waited for in vain for five seconds; what the other one sent meanwhile is dropped."""
     clock = VirtualClock()
-    address = "serial:///dev/null?columns=x"
-    devices = [BenchSensor(serial, "serial-columns", address) for serial in ("A", "B")]
-    sensors = SensorSet(devices, [cast(Sensor, Silent(clock)), cast(Sensor, Printer(clock))])
-    columns, started = LogColumns(sensors.models, thermometer=False), datetime(2026, 1, 1, tzinfo=UTC)
+    sensors = bench(Scheduled(clock, *6 * [-5.0]), other := Scheduled(clock, *6 * [0.5]))
+    columns = LogColumns(sensors.models, thermometer=False)
     log = Recording(tmp_path / "log.csv", columns.names)
-    record(log, columns, sensors, clock, started, 10.0, 6, None, lambda _: None)
+    record(log, columns, sensors, clock, STARTED, 10.0, 6, None, lambda _: None)
     log.close()
     assert (log.rows, log.missing) == (6, 6)
-    rows = [line.split(",") for line in (tmp_path / "log.csv").read_text().splitlines()[1:]]
-    ages = [(datetime.fromisoformat(time) - started).total_seconds() - float(b) for time, _, b in rows]
-    assert all(0.0 <= age <= 1.0 for age in ages), ages
+    assert other.asked == [(word, 5.0 + 10.0 * row) for row in range(6) for word in ("discard", "read")]
 
 
 @pytest.mark.parametrize(
-    ("device", "interval", "most"),
-    [(Printer, 0.05, 11), (Unplugged, 0.0, 10)],
-    ids=["slower than its rate", "unplugged"],
+    ("renewed", "interval", "limits", "seconds", "times", "discards", "secured"),
+    [
+        # A reading that takes 3.5 s is caught up with by one interval; what waited in the port before a row is dropped.
+        (0.5, 1.0, (7, None), [0.2, 0.2, 3.5, 0.2, 0.2, 0.2, 0.2], [0.2, 1.2, 5.5, 5.7, 5.9, 6.7, 7.7], 7, 4),
+        # Of a device that is no faster than the rows what it sent is kept, but at the first.
+        (0.8, 1.0, (9, 2.5), [0.2, 0.2, 0.2, 0.2], [0.2, 1.2, 2.2], 1, 2),
+        # A bus that is dead is left alone for a second where nothing else sets the pace.
+        (0.0, 0.0, (None, 3.0), [0.0, 0.0, 0.5, 0.5, 0.0], [0.0, 1.0, 2.5, 3.0], 1, 2),
+    ],
 )
-def test_a_recording_ends_with_its_time(
-    device: type[Printer] | type[Unplugged], interval: float, most: int, tmp_path: Path
-) -> None:
-    """Twenty rows a second for ten seconds are 200 rows, or as many as there is time for; a dead bus is left alone."""
-    clock = VirtualClock()
-    sensors = SensorSet(
-        [BenchSensor("A", "serial-columns", "serial:///dev/null?columns=x")], [cast(Sensor, device(clock))]
-    )
-    columns, started = LogColumns(sensors.models, thermometer=False), datetime(2026, 1, 1, tzinfo=UTC)
+def test_when_rows_are_taken_and_when_they_are_secured(
+    renewed: float, interval: float, limits: tuple[int | None, float | None], seconds: list[float], times: list[float],
+    discards: int, secured: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    """Seconds since the recording began, ten after the session's clock."""
+    clock, synced, told = VirtualClock(), list[int](), list[int]()
+    clock.sleep(10.0)
+    device = Scheduled(clock, *seconds)
+    sensors = bench(device)
+    sensors.models = {"A": replace(sensors.models["A"], interval=renewed)}
+    columns = LogColumns(sensors.models, thermometer=False)
     log = Recording(tmp_path / "log.csv", columns.names)
-    record(log, columns, sensors, clock, started, interval, 200, 10.0, lambda _: None)
+    monkeypatch.setattr("tiltcal.bench.record.sync_data", synced.append)
+    record(log, columns, sensors, clock, STARTED, interval, *limits, lambda one: told.append(one.rows))
+    rows = [line.split(",") for line in (tmp_path / "log.csv").read_text().splitlines()[1:]]
+    taken = [(datetime.fromisoformat(time) - STARTED).total_seconds() - 10.0 for time, _ in rows]
+    assert taken == pytest.approx(times)
+    assert [cell for _, cell in rows] == ["1" if second else "" for second in seconds[: len(times)]]
+    assert told == [*range(1, len(times) + 1)]
+    assert ([word for word, _ in device.asked].count("discard"), len(synced)) == (discards, secured)
+    assert (log.missing, log.why) == (seconds[: len(times)].count(0.0), "gone" if 0.0 in seconds else "")
     log.close()
-    assert 1 <= log.rows <= most
-    assert 10.0 <= clock.now_ns() / 1e9 <= 20.0

@@ -15,6 +15,7 @@ from tiltcal.drivers.model import Reading
 from tiltcal.journal.playback import Sample
 
 SCA100T = find_model("sca100t-d02")
+BEGUN = 7.0  # seconds since the session began
 SOAK = Window(10.0, temperature_drift=0.3, target=5.5)
 
 
@@ -35,7 +36,7 @@ class Drifting:
 
     def read(self, *, fresh: bool = False) -> Sample:
         assert fresh
-        time = self._clock.now_ns() / 1e9
+        time = self._clock.now_ns() / 1e9 - BEGUN
         if time > self._seconds:
             raise Enough
         x = 1024.0 + self._rate * 1e-3 * SCA100T.sensitivity * time + self._noise.normal(0.0, self._sigma)
@@ -49,6 +50,7 @@ def settled(
 ) -> tuple[float, list[tuple[str, float]]]:  # fmt: skip
     """Seconds until a sensor with a drift in mg/s counts as still, and what was said meanwhile, once in a row."""
     clock, said = VirtualClock(), list[tuple[str, float]]()
+    clock.sleep(BEGUN)
     sensors: Any = Drifting(clock, rate, seconds, seed, noise, celsius)
 
     def look(sample: Sample, why: str, left: float) -> None:
@@ -58,7 +60,7 @@ def settled(
             said.append((phase, left))
 
     wait_until_still(cast(SensorSet, sensors), clock, window, look)
-    return clock.now_ns() / 1e9, said
+    return clock.now_ns() / 1e9 - BEGUN, said
 
 
 STILL, WAY, STEADY = "waiting until it is still", "on the way to 5.5 °C", "steady for some of 30 s"

@@ -146,6 +146,64 @@ def test_what_the_page_shows_of_a_question(asked: Any, shown: dict[str, Any], mo
         bench.operator.ask(asked)
 
 
+def test_the_readings_of_two_sensors_are_drawn_with_the_worst_and_how_still_they_stand() -> None:
+    """S-1 has two axes, S-2 a direction; then x turns by 1° a second for 1 s, and then S-2 has no reading."""
+    bench = Bench()
+    sensors = {"S-1": ShownSensor("count", 1000.0, 800.0), "S-2": ShownSensor("g", 0.0, 1.0)}
+    bench.operator.tell(Begin(title="", positions=[], attitudes={}, headings=False, accepted=[], sensors=sensors))
+    assert bench.operator.ask(question("up")) == {"answer": LOOK}
+    axes = {"x": AxisTilt(30.0, 29.0), "y": AxisTilt(0.0, 0.5)}
+    two = {"x": Difference(-1.0, 4.0, True), "y": Difference(0.5, 1.0, True)}
+    high = SensorGuidance({}, {"": Difference(9.0, 6.0, False)}, (0.6, 0.0, 0.8), {"+X": 9.0, "+Y": 0.0})
+
+    def look(x: float) -> dict[str, Any]:
+        shown = {
+            "S-1": ShownReading({"x": 1000.0 + 800.0 * sin(radians(x)), "y": 1000.0}, 24.93,
+                                SensorGuidance(axes, two, ATTITUDES["up"], {"+X": 1.0, "+Y": -0.5})),
+            "S-2": ShownReading({"x": 0.6, "y": 0.0, "z": 0.8}, None, high),
+        }  # fmt: skip
+        bench.operator.tell(Look("up", "waits", shown, 12.5))
+        return dict(json.loads(bench.state.after(0)[1]))
+
+    state = look(29.0)
+    guided = state.pop("guide")
+    drawn = [
+        {
+            "name": "S-1",
+            "said": "y +0.5°",
+            "present": [*ATTITUDES["up"]],
+            "sides": [1.0, -0.5],
+            "share": 0.5,
+            "ok": True,
+        },
+        {"name": "S-2", "said": "+9.0°", "present": [0.6, 0.0, 0.8], "sides": [9.0, 0.0], "share": 1.5, "ok": False},
+    ]
+    worst = {"axis": "", "angle": 9.0, "tolerance": 6.0, "fits": False}
+    assert guided == {"target": [*ATTITUDES["up"]], "sides": ["+X", "+Y"], "sensors": drawn, "worst": worst,
+                      "fits": False, "ok": False, "note": "", "still": 0.0}  # fmt: skip
+    assert state["table"] == {
+        "head": ["not calibrated yet", "set", "now", "difference", "reading"],
+        "rows": [
+            {"cells": ["S-1 x", "+30.00°", "+29.00°", "-1.00°", "1387.85 count"], "ok": True},
+            {"cells": ["S-1 y", "+0.00°", "+0.50°", "+0.50°", "1000 count"], "ok": True},
+            {"cells": ["S-1 T", "", "", "", "24.93 °C"], "ok": None},
+            {"cells": ["S-2 direction", "", "", "9.00°", ""], "ok": False},
+            *(
+                {"cells": [f"S-2 {axis}", "", "", "", f"{g} g"], "ok": None}
+                for axis, g in zip("xyz", (0.6, 0, 0.8), strict=True)
+            ),
+        ],
+    }
+    assert (state["doing"], state["soak"], state["samples"]) == ("waits", 12.5, None)
+    for number, still in ((1, 0.0), (2, 0.0), (3, 0.0), (4, 0.3 / 0.625), (5, 0.3 / 0.75)):
+        # Of five readings 0.25° apart the means of the first two and of the last three are 0.625° apart; of six 0.75°.
+        bench.time += 0.25
+        assert look(29.0 + 0.25 * number)["guide"]["still"] == pytest.approx(still, rel=1e-3), number
+    bench.time += 0.25
+    bench.operator.tell(Look("up", "no reading", {}))
+    assert json.loads(bench.state.after(0)[1])["guide"]["still"] == 0.0
+
+
 def test_the_sphere_shows_what_is_missing_and_of_free_positions_the_share_that_is_met() -> None:
     """A cap of 40° is (1 - cos 40°) / 2 of the sphere, 11.7 %; those of two opposite directions do not meet."""
     bench = Bench()

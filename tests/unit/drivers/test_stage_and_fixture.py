@@ -15,7 +15,7 @@ from tiltcal.drivers import find_model
 from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.bus.clock import VirtualClock
 from tiltcal.drivers.stage import Accelerometer, Disk, disk_sample
-from tiltcal.drivers.virtual import Fixture, Truth, _rotated
+from tiltcal.drivers.virtual import Fault, Fixture, Truth, _rotated
 
 QUIET = Disk(noise=0.0)
 
@@ -71,7 +71,9 @@ def test_a_slope_is_the_tangent_of_the_angle_and_a_roll_is_about_the_axis_of_the
     turned = Rotation.from_euler("z", 20.0, degrees=True)
     pitch, roll, up = 0.3, -0.7, Rotation.from_euler("yx", [0.3, 0.7]).apply([0.0, 0.0, 1.0])
     y = dict(zip("xyz", 2.0 * turned.apply([0.0, 1.0, 0.0]), strict=True))
-    part = Truth(("x", "y"), {"y": 0.5}, {"y": y}, angles="euler")
+    faults = (Fault("stuck", 2.0, 3.0), Fault("silent", 3.0, 4.0))
+    part = Truth(("x", "y"), {"y": 0.5}, {"y": y}, angles="euler", faults=faults)
+    assert [part.fault(seconds).kind for seconds in (1.9, 2.0, 2.9, 3.0, 4.0)] == ["", "stuck", "stuck", "silent", ""]
     assert up[0] == pytest.approx(sin(pitch))
     assert part.reading("y", tuple(turned.apply(up)), 25.0) == pytest.approx(0.5 + 2.0 * roll)
 
