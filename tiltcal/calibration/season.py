@@ -284,7 +284,7 @@ def _on_line(before: Coefficients, after: Coefficients, share: float) -> Coeffic
 
 def _with_walk(errors: Uncertain, walked: Uncertain) -> Uncertain:
     """Add what each coefficient may have wandered; nothing where nothing is uncertain."""
-    return weighted_sum(errors, walked, (1.0, 1.0), ()) if errors.names and walked.names else errors
+    return weighted_sum(errors, walked, (1.0, 1.0), ()) if errors.names else errors
 
 
 def _without_measured(record: CalibrationRecord) -> CalibrationRecord:

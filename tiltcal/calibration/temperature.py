@@ -347,7 +347,7 @@ def _estimate(
     )
     stands_in = {name: prior.value for name, prior in design.priors.items()}
     coefficients = with_vector(coefficients, list(stands_in), np.array(list(stands_in.values())))
-    offset = fit.coefficients[:, 0] - coefficients.predict(up[None, :])[0]
+    offset = fit.coefficients[:, 0] - coefficients.predict(up[None, :]).ravel()
     coefficients = replace(coefficients, offset=offset if known is None else known.coefficients.offset)
     by_model = fit.means.powers(fit.lag, fit.order) @ fit.coefficients.T
     modelled = np.array([by_model[part].mean(axis=0) for _, part in _parts(fit)])
@@ -385,7 +385,7 @@ def _sources(
         yield errors(HYSTERESIS, by_record, fit.loop_covariance)
     readings = found.read(up[None, :])
     slope = np.stack([column[f"temperature.offset.{channel}.1"] for channel in design.channels], axis=1)
-    signal = found.predict(up[None, :])[0] - found.offset
+    signal = found.predict(up[None, :]).ravel() - found.offset
     yield errors(PRIOR, slope, np.diag((gain * signal) ** 2))
     if known is not None:
         base = known.uncertain.without("temperature.", TURN)

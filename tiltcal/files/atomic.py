@@ -168,8 +168,8 @@ def _give_name(nameless: int, path: Path) -> None:
 
 
 def _is_special(path: str | Path) -> bool:
-    return os.path.exists(path) and not os.path.isfile(path) and not os.path.isdir(path)
+    return os.path.exists(path) and not os.path.isfile(path)
 
 
 def _cannot_write(path: str | Path, failure: OSError, do: str = "choose another folder") -> UsageError:
-    return UsageError(f"cannot write {path}: {failure.strerror or failure}; {do}")
+    return UsageError(f"cannot write {path}: {failure.strerror}; {do}")

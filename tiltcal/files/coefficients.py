@@ -17,7 +17,7 @@ from msgspec import Meta
 
 from tiltcal.core.angle_readings import AngleReadings
 from tiltcal.core.attitude import mounting_matrix
-from tiltcal.core.model import AXES, Array, Coefficients, Mounting, Thermal, values
+from tiltcal.core.model import AXES, Array, Coefficients, Mounting, Thermal, polynomial, values
 from tiltcal.core.rounding import significant
 from tiltcal.core.uncertain import NORMAL_FACTOR, TURN, Uncertain, widened
 from tiltcal.files.document import Document
@@ -174,12 +174,9 @@ def _nonlinearity(
     table = _padded(curves, channels)
     if any(channel not in axes for channel in channels):
         raise place.error("a nonlinearity needs every channel's sensitivity to its own axis", "nonlinearity")
+    a = np.linspace(-1.0, 1.0, 201)  # of the own acceleration, g
     for channel, row in zip(channels, table, strict=True):
-        # The derivative 1 + 2 n2 a + 3 n3 a² is smallest at an end of the range or at its own turning point.
-        square, cube = np.pad(row, (0, 2 - len(row)))
-        turning = -square / (3.0 * cube) if cube else 1.0
-        places = [-1.0, 1.0, *([turning] if abs(turning) < 1.0 else [])]
-        if min(1.0 + 2.0 * square * a + 3.0 * cube * a * a for a in places) < STEEP:
+        if np.min(1.0 + polynomial(row * np.arange(2, 2 + len(row)), a)) < STEEP:
             raise place.error(
                 f"the nonlinearity of {channel} is so large that one reading has several angles", "nonlinearity"
             )

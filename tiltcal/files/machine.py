@@ -71,8 +71,10 @@ class Machine(Record):
     @property
     def carrier(self) -> str:
         """The tilt that counts from the horizontal: the outer one, or the only one."""
-        tilts = [axis for axis in TILTS if axis in self.limits]
-        return tilts[0] if len(tilts) == 1 else self.outer
+        match [axis for axis in TILTS if axis in self.limits]:
+            case [alone]:
+                return alone
+        return self.outer
 
 
 NEEDED = {"text": ("address", "set", "read", "pattern"), "modbus": ("address", "registers"), "object": ("objects",)}

@@ -149,6 +149,8 @@ def test_positions_of_one_journal_count_once() -> None:
     assert values(twice.coefficients) == values(alone.coefficients)
     assert dict(twice.uncertainty) == dict(alone.uncertainty)
     assert len(twice.positions) == len(alone.positions)
+    unnamed = Calibration(replace(OF_BASE.record, sensor=SENSOR.replaced(model="recorded")))
+    assert combine([unnamed, SCALE]).sensor == SENSOR
 
 
 def stated(known: dict[str, tuple[float, float]], thermal: Thermal | None, *met: float, **more: object) -> Calibration:
@@ -232,6 +234,10 @@ TURNED = [SCALE.with_mounting("roll=180"), OF_BASE.with_mounting("roll=90")]
         (
             LATE,
             r"^the lags contradict: two-temperature has 100 s and two-temperature \(2\) has 200 s; combine one of them",
+        ),
+        (
+            [SCALE, Calibration(replace(DRIFT.record, sensor=SENSOR.replaced(model="adxl355")))],
+            "its model is sca100t-d02 in",
         ),
         ([5, SCALE], "combine takes tilt calibrations or their files, not 5"),
         *(

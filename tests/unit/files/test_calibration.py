@@ -62,6 +62,8 @@ def test_angles_are_radians_inside_and_what_is_left_out_is_there() -> None:
     assert calibration.sensor == SensorIdentity("sca100t-d02", "0042", "count", ("x", "y"))
     assert calibration.fit.worst == WorstResidual(position="level", channel="x", residual=2.0)
     assert calibration.provenance == Provenance()
+    bent = read(EXAMPLE.replace("  mounting:", "  nonlinearity: {x: [0.44, 0.01], y: [-0.44]}\n  mounting:"))
+    np.testing.assert_array_equal(bent.coefficients.nonlinearity, [[0.44, 0.01], [-0.44, 0.0]])
 
 
 def test_errors_have_the_turn_of_a_mounting_in_radians() -> None:

@@ -39,7 +39,6 @@ rotation:
     - {pair: [left, right], orthogonal: up}
   turns: 12
   converged: 1e-6
-  patience: 30
   prompt: Start the motor.
 """
 
@@ -98,6 +97,7 @@ def test_record_gives_the_procedure_again_through_json(own: Path) -> None:
         assert procedure_in(document_of(json.loads(json.dumps(procedure.record))), angle) == procedure
         # A default that changes later changes no journal: 100 samples by the reference.
         assert (procedure.record["samples"], procedure.record["soak"]["seconds"]) == (100, 20.0)
+        assert procedure.record["determines"] == {"axes": ["y", "x"], "drift": 1, "gain": 0, "nonlinearity": 0}
 
 
 def test_what_is_wrong_with_positions_is_told_with_line_and_key() -> None:
@@ -117,7 +117,7 @@ def test_a_users_own_is_read_and_comes_again_from_its_record(turning: Path) -> N
     assert isinstance(procedure, Rotation)
     assert (procedure.phase, procedure.pairs) == ("angle", (Pair("left", "right", "up"),))
     assert (procedure.prompt, procedure.turns, procedure.converged) == ("Start the motor.", 12, 1e-6)
-    assert procedure.patience == 30.0
+    assert (procedure.patience, procedure.record["rotation"]["patience"]) == (60.0, 60.0)  # the default
     assert procedure_in(document_of(json.loads(json.dumps(procedure.record)))) == procedure
 
 

@@ -47,7 +47,7 @@ def test_what_is_wrong_with_positions_is_told_with_its_line(tmp_path: Path) -> N
         ("", None, "empty"),
         ("position,x,y\n", None, "no position"),
         ("position,x\nup,1\n", 1, "'y' is missing"),
-        ("position,x,y,temp\nup,1,2,3\n", 1, "unknown key 'temp'"),
+        ("position,x,y,temp\nup,1,2,3\n", 1, "unknown key 'temp'; known here: position, x, y, gx, gy, gz, ux, uy, n"),
         ("position,x,y\nup,1,\n", 2, "'y' is missing"),
         ("position,x,y,ux\nup,1,2,0.1\n", 2, "uy is missing"),
         ("position,x,y,ux,uy\nup,1,2,0.1,0.1\ndown,1,2,,\n", 3, "down has no uncertainty"),

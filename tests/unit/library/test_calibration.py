@@ -97,8 +97,11 @@ def test_a_notebook_shows_calibration_plan_comparison_and_figure() -> None:
 
 def test_what_is_no_calibration_is_called_what_it_is(calibration: Calibration, tmp_path: Path) -> None:
     (tmp_path / "log.csv").write_text("x,y\n1,2\n", encoding="utf-8")
+    one = FILE.replace("[x, y]", "[x]").replace(", y: 1021.9", "").replace(", y: 9.1}\n    y: {x: -6.4, y: 820.7}", "}")
+    (tmp_path / "one.yaml").write_text(one.partition("uncertainty")[0] + "  mounting: {roll: 90}\n", encoding="utf-8")
     for path, why in ((FIXTURES / "mavs.journal.jsonl", "journal of a session: tiltcal replay"),
-                      (tmp_path / "log.csv", "a log: tiltcal apply")):  # fmt: skip
+                      (tmp_path / "log.csv", "a log: tiltcal apply"),
+                      (tmp_path / "one.yaml", "one.yaml: a mounting rotation takes a sensor")):  # fmt: skip
         with pytest.raises(InputError, match=why):
             read(path)
     with pytest.raises(KeyError, match="two indices, channel and axis"):

@@ -4,7 +4,6 @@ import re
 from dataclasses import replace
 from decimal import Decimal
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -264,22 +263,19 @@ def test_what_a_fit_says_is_there_in_whole_sentences() -> None:
 TURNED = "x 45°, y −2.5°, heading 90°, stage −45°, −5.5 °C"
 
 
-class TestAnyFile:
-    """Only sensor and calibration are needed."""
-
-    def test_markup_in_a_file_is_text(self, tmp_path: Path) -> None:
-        nasty = '<script>alert("1")</script><img src=x onerror=alert(1)>$\\frac{$'  # and mathematics
-        known = golden("complete")
-        calibration = replace(
-            known,
-            sensor=known.sensor.replaced(serial=nasty, model=nasty, unit=nasty),
-            fit=FitRecord(notes=(nasty,), budget={nasty: {nasty: 1.0}}, residuals={nasty: {"x": 1.0}}),
-            procedure=ProcedureRecord(name=nasty, title=nasty, set={nasty: PositionSet(tilt={"x": 1.0})}),
-            positions=(PositionRecord(position=nasty, mean={"x": 1.0}, n=1),),
-            provenance=Provenance(made_by=f"virtual {nasty}", operator=nasty),
-        )
-        page = page_of(calibration)
-        assert not page.root.find("script", "img")
-        assert not [one for one in page.root.find("p", "td", "text", "svg", "rect") if "onerror" in one.attributes]
-        assert page.headings[0][1] == f"{nasty} {nasty}"
-        assert nasty in [one.text for one in page.root.find("li")]
+def test_markup_in_a_file_is_text() -> None:
+    nasty = '<script>alert("1")</script><img src=x onerror=alert(1)>$\\frac{$'  # and mathematics
+    known = golden("complete")
+    calibration = replace(
+        known,
+        sensor=known.sensor.replaced(serial=nasty, model=nasty, unit=nasty),
+        fit=FitRecord(notes=(nasty,), budget={nasty: {nasty: 1.0}}, residuals={nasty: {"x": 1.0}}),
+        procedure=ProcedureRecord(name=nasty, title=nasty, set={nasty: PositionSet(tilt={"x": 1.0})}),
+        positions=(PositionRecord(position=nasty, mean={"x": 1.0}, n=1),),
+        provenance=Provenance(made_by=f"virtual {nasty}", operator=nasty),
+    )
+    page = page_of(calibration)
+    assert not page.root.find("script", "img")
+    assert not [one for one in page.root.find("p", "td", "text", "svg", "rect") if "onerror" in one.attributes]
+    assert page.headings[0][1] == f"{nasty} {nasty}"
+    assert nasty in [one.text for one in page.root.find("li")]
