@@ -64,21 +64,7 @@ def test_the_faces_of_a_phone_are_found_and_named(tmp_path: Path) -> None:
         assert cal.sensitivity[axis, axis] == pytest.approx(scale, abs=0.05)
 
 
-def test_a_face_that_is_missing_is_named(tmp_path: Path) -> None:
-    log = written(tmp_path / "faces.csv", HEADER, rows=FACES[: 5 * 260])
-    done = tiltcal("fit", "six-face", log, "--serial", "PHONE", "-o", "phone.yaml", cwd=tmp_path, code=2)
-    assert "no threshold finds the sensor still in every position" in done.stderr
-
-
-def test_what_is_not_clear_is_asked_for(tmp_path: Path) -> None:
-    def said(header: tuple[str, ...], rows: np.ndarray = HELD) -> str:
-        log = written(tmp_path / "log.csv", header, rows=rows)
-        done = tiltcal("fit", "free", log, "--serial", "PHONE", "-o", "phone.yaml", cwd=tmp_path, code=2)
-        return done.stderr
-
-    whole = np.column_stack([HELD[:, 0], np.rint(1000.0 * HELD[:, 1:])])
-    assert "state the --unit" in said(("time", "x", "y", "z"), whole)
-    absent = tiltcal("fit", "free", "absent.csv", "--serial", "PHONE", "-o", "phone.yaml", cwd=tmp_path)
-    assert "cannot read absent.csv: No such file or directory" in absent.stderr
-    mixed = said(("time", "ax (m/s^2)", "ay (g)", "az (m/s^2)"))
-    assert "state the --unit" in mixed
+def test_units_that_differ_are_asked_about(tmp_path: Path) -> None:
+    log = written(tmp_path / "log.csv", ("time", "ax (m/s^2)", "ay (g)", "az (m/s^2)"))
+    done = tiltcal("fit", "free", log, "--serial", "PHONE", "-o", "phone.yaml", cwd=tmp_path, code=2)
+    assert done.stderr == "tiltcal: state the --unit of the readings (such as m/s2), or the --sensor model\n"

@@ -241,6 +241,13 @@ def test_the_first_times_of_a_log_decide_their_unit() -> None:
     parts = [clock.seconds(part, None, None, "log.csv")[0] for part in (times[:10], times[10:])]
     assert np.concatenate(parts).tolist() == times.tolist()
     assert clock.remarks == []
+    for part in ([10.0, 11, 11, 12, 0, 1, 2, 3, 4, 5], [np.nan], [5.0, 7, 6, 8, 9, 10, 11, 12]):
+        clock = LogClock() if part[0] == 10.0 else clock
+        clock.seconds(np.array(part), None, "s", "log.csv")
+    assert clock.remarks == [
+        "the time starts again 1 time, first at row 4", "the time goes back 1 time, first at row 13",
+        "the time stands still 2 times",
+    ]  # fmt: skip
 
 
 def test_dates_that_leave_their_order_open_are_named(tmp_path: Path) -> None:

@@ -107,7 +107,7 @@ def test_what_is_wrong_with_a_log_is_counted_and_told(tmp_path: Path) -> None:
     assert begin <= 25.0 <= end
     assert f"note: it was not still: moved or knocked from {begin:.4g} to {end:.4g} s; the" in noise(path).stderr
     samples = np.round(counts(4000) * 2) / 2
-    samples[1000:1200] = samples[1000]
+    samples[300:420], samples[1000:1200] = samples[300], samples[1000]
     assert as_json(written(path, samples))["hung"] == pytest.approx([10.0, 12.0], abs=0.05)
     assert "the readings were stuck" in noise(path).stderr
 

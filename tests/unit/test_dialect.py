@@ -64,7 +64,8 @@ def test_fields_sums_patterns_and_objects() -> None:
     assert rows.cells("X =1.5 y= nan mg") == ["1.5", "nan"]
     assert rows.cells("x = 1.5 y = 2") is rows.cells("x = a y = 2 mg") is None
     assert rows.at_once(b"x = 1 y = 2 mg\nx = 3 y = 4 mg\n", b";") == b"1;2\n3;4\n"
-    assert rows.at_once(b"x = 1 y = 2 mg\ny = 4 mg\n", b";") is None
+    for damaged in (b"x = 1 y = 2 mg\ny = 4 mg\n", b"x = 1 y = 2 mg7\n", b"\x011 y = 2 mg\n"):
+        assert rows.at_once(damaged, b";") is None
     assert Pattern(("", " y = ", "")).at_once(b"1 y = 2\n3 y = 4\n", b";") == b"1;2\n3;4\n"
     assert Pattern(("x = ", " y = ", "")).at_once(b"x = 1 y = 2\nx = 3 y = 4\n", b",") == b"1,2\n3,4\n"
     assert Pattern(("", " g ", " g")).at_once(b"1 g 2 g\n", b";") == b"1;2\n"

@@ -132,11 +132,11 @@ def are_moments(cells: pl.Series | None) -> bool:
 
 
 def unit_since_epoch(times: Array) -> str | None:
-    """Return the unit of times since 1970 of which nothing states one, by their size and their step; else None."""
+    """Return the unit of times since 1970 of which nothing states one, by their size and step; None of seconds too."""
     known = times[np.isfinite(times)]
     steps = np.diff(known)
     steps = steps[steps > 0.0]
-    for unit, factor in (("s", 1.0), ("ms", 1e3), ("us", 1e6), ("ns", 1e9)):
+    for unit, factor in (("ms", 1e3), ("us", 1e6), ("ns", 1e9)):
         if len(known) and EPOCH[0] * factor <= known[0] <= EPOCH[1] * factor:
             usual = float(np.median(steps)) / factor if len(steps) else PACE[0]
             return unit if PACE[0] <= usual <= PACE[1] else None

@@ -125,7 +125,7 @@ def probe_log(path: str, progress: Progress | None = None) -> LogFacts:
             missing=_missing(dict(zip(axes.values(), readings, strict=True)), record.faulty),
             rate=_rate(record.by_role[TIME]) if TIME in named else None,
             remarks=[*(log.clock.remarks if TIME in named else ()), *log.remarks],
-            length=significant(float(np.median(np.linalg.norm(means, axis=1))), 5) if len(means) and whole else None,
+            length=float(np.median(np.linalg.norm(means, axis=1))) if len(means) and whole else None,
             attitudes=len(turned),
             different=len(kinds),
             absent=absent,
@@ -183,8 +183,8 @@ def _rate(times: Array) -> float | None:
     """Return the rate of times, Hz; None where they do not go on."""
     known = times[np.isfinite(times)]
     steps = np.diff(known)
-    usual = float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else 0.0
-    return significant(1.0 / usual, 6) if usual > 0.0 else None
+    forward = steps[steps > 0.0]
+    return significant(1.0 / float(np.median(forward)), 6) if len(forward) else None
 
 
 def _next(

@@ -68,19 +68,19 @@ MEANINGS = {
     "gradient": ("m s-2", "gradient signal", "flag reason"),
     "gradient_sin": ("m s-2", "sin component of the gradient signal at twice the turning", "flag reason"),
     "count": ("1", "number of rows of which each row is the mean", None),
-    "B-2_tilt_y": ("degree", "tilt of the y axis, positive where it points up, of B-2", "B-2_flag B-2_reason"),
+    "SN-17_tilt_y": ("degree", "tilt of the y axis, positive where it points up, of SN-17", "SN-17_flag SN-17_reason"),
 }
 
 
 def test_every_column_says_its_unit_its_meaning_and_its_companions() -> None:
-    added = (*MEANINGS, "flag", "reason", "B-2_flag", "B-2_reason")
+    added = (*MEANINGS, "flag", "reason", "SN-17_flag", "SN-17_reason")
     for name, said in MEANINGS.items():
         keys = ("units", "long_name", "ancillary_variables")
         expected = {key: text for key, text in zip(keys, said, strict=True) if text is not None}
         units = {"v_east": None, "v_up": "cm s-1"}
         assert describe(name, added, {"units": "m s-2"}, units) == expected
         assert describe(name, added, {"units": "m s-2", "coordinates": "s"}, units) == expected | {"coordinates": "s"}
-    for name, whose in (("flag", ""), ("B-2_reason", ", of B-2")):
+    for name, whose in (("flag", ""), ("SN-17_reason", ", of SN-17")):
         found = describe(name, added, {})
         codes = found.get("flag_values", found.get("flag_masks")).tolist()
         assert len(codes) == len(found["flag_meanings"].split())

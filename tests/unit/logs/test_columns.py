@@ -56,6 +56,12 @@ def test_the_name_of_a_column_means_a_role(role: str, names: str) -> None:
     )
 
 
+def test_a_linear_acceleration_is_taken_where_it_is_alone() -> None:
+    for names, x in ((["linear_acceleration.x"], 0), (["linear_acc_x", "acc_x"], 1), (["acc_x", "user_acc_x"], 0)):
+        assert columns_of_logs.column_names(names, "x", {}) == {"x": names[x]}
+    assert columns_of_logs.column_names(["acc_x", "accel x"], "x", {}) == {}
+
+
 @pytest.mark.parametrize(("unit", "step"), [("ms", 10), ("us", 1e4), ("ns", 1e7), ("min", 1 / 6000), ("h", 1 / 3.6e5)])
 def test_a_time_is_in_the_unit_of_its_name(unit: str, step: float, tmp_path: Path) -> None:
     pl.DataFrame({f"Time ({unit})": np.arange(50) * step, "x": np.zeros(50)}).write_csv(tmp_path / "log.csv")

@@ -57,8 +57,8 @@ def test_a_moment_may_leave_out_seconds_and_zone() -> None:
 @pytest.mark.parametrize("block", [8, 1 << 20])
 def test_text_that_is_no_time_is_refused_with_its_line(block: int) -> None:
     for text in ("01.13.2026 12:00:00", "2026-05-01T25:00", "25:00:00", "noon"):
-        with pytest.raises(InputError, match=f"^log.csv:3: column 'time' holds '{text}', neither seconds nor ISO 8601"):
-            csv(f"time,x\n,1\n{text},2\n{text},3\n", block=block)
+        with pytest.raises(InputError, match=f"^log.csv:6: column 'time' holds '{text}', neither seconds nor ISO 8601"):
+            csv(f"time,x\n,1\n# more\n,1\n# more\n{text},2\n{text},3\n", block=block)
 
 
 def test_a_text_behind_the_first_times_counts_as_missing() -> None:

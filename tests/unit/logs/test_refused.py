@@ -72,6 +72,10 @@ REFUSED: dict[str, Callable[[], Any]] = {
         )
     ),
     "state the sensor's serial number": fit("plane", serial=None),
+    "state the unit of the readings (such as m/s2), or the sensor model: neither names nor the length of gravity at "
+    "rest show it": fit(
+        "free", {axis: np.eye(12)[k] * 1000.0 for k, axis in enumerate("xyz")}, sensor=None, table=True
+    ),
     "the table states no uncertainties (ux, uy, uz) and has no position more than there are unknowns: nothing says how "
     "good the result is; add either": fit("zero-45", ZERO_45, jig=0.1),
     "the frame: its sample rate is unknown: there is no column 'time'; name it with columns time=NAME, or state rate "
@@ -89,6 +93,10 @@ REFUSED: dict[str, Callable[[], Any]] = {
     ),
     "a and b with the orthogonal a: a pair is of three different columns": lambda: tiltcal.match(
         DISK, [("a", "b", "a")]
+    ),
+    "the frame: the record is too short, its time does not change, or a time lies before its first or after its last: "
+    "the spin cannot be estimated; without phase the stage must turn at one speed": lambda: tiltcal.match(
+        DISK.assign(time=("n", np.where(np.arange(400) == 100, 1e17, np.arange(400.0)))), [("a", "b", "c")]
     ),
     "the frame: column 'a' has no value in any row: is a connected?": lambda: tiltcal.match(
         {"t": np.arange(900.0), "a": [np.nan] * 900, "b": np.ones(900), "c": np.ones(900)},

@@ -155,6 +155,7 @@ def test_what_is_farthest_of_all_directions() -> None:
     turned = FACES @ np.array([[np.cos(0.05), -np.sin(0.05), 0], [np.sin(0.05), np.cos(0.05), 0], [0, 0, 1]])
     readings = np.array([5.0, -3.0, 1.0]) + np.vstack([FACES, FACES[::-1], turned]) * [800.0, 790.0, 810.0]
     np.testing.assert_allclose(different(readings), FACES, atol=0.06)
+    np.testing.assert_allclose(different(np.vstack([FACES, [[0.9, 0.9, 0.9]]]))[-1], np.full(3, 3.0**-0.5))
 
 
 def test_mean_and_uncertainty_of_an_attitude() -> None:

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from tiltcal.logs import streams
-from tiltcal.logs.streams import log_source, read_ahead, with_writeback
+from tiltcal.logs.streams import log_source, read_ahead, refusing, with_writeback
 
 
 def test_items_come_in_order_from_another_thread_and_an_error_in_its_place() -> None:
@@ -51,6 +51,12 @@ def test_what_is_written_goes_to_the_disk_piece_by_piece(tmp_path: Path, monkeyp
     monkeypatch.delattr(os, "posix_fadvise")  # as on macOS
     with open(tmp_path / "result", "rb") as sink:
         assert list(with_writeback(sink, range(3))) == [0, 1, 2]
+
+
+def test_what_the_system_refuses_keeps_its_number() -> None:
+    for said in ("no room: it is full (os error 28)", "H5Fclose: errno = 28, error message = '...'"):
+        with pytest.raises(OSError, match="Errno 28"), refusing("this is no log", "log.nc"):
+            raise RuntimeError(said)
 
 
 def test_ctrl_c_that_does_not_reach_the_wait_ends_it(tmp_path: Path) -> None:

@@ -72,6 +72,8 @@ class TestRowsThatAreNone:
             (b"1,2", "the row has 2 fields, the header 3"),
             (b"1,2,3,4", "the row has 4 fields, the header 3"),
             (b"1", "the row has 1 field, the header 3"),
+            (b"1,2\n1,2,3,4", "the row has 2 fields, the header 3"),
+            (b"6,7,8,9\n4,5\n1,2,", "the row has 4 fields, the header 3"),
             (b"1,2\0,3", "the row holds a NUL byte or a bare CR"),
             (b"1,2\r,3", "the row holds a NUL byte or a bare CR"),
             (
@@ -314,6 +316,8 @@ def test_a_first_line_of_numbers_is_a_row() -> None:
     for line, columns in rows.items():
         assert not dialect_of(line.splitlines()).has_header, line
         assert dialect_of(line.splitlines()).names == tuple(str(1 + k) for k in range(columns))
+    above = ["x,y", "begun at noon", "right,left", "1,2", "3,4"]
+    assert (dialect_of(above).names, dialect_of(above).first) == (("right", "left"), 3)
     for marked, comments in ((6, ("#", "//", "%")), (7, ("//", "%"))):  # as most lines begin
         assert dialect_of(["1,2"] * 6 + ["#3,4"] * marked).comments == comments
 
