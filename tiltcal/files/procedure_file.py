@@ -116,7 +116,7 @@ class ProcedureFile(NamedProcedure, kw_only=True):
     reference: Annotated[Temperature | None, about("reference temperature, °C; needed with drift or gain")] = None
     angle: Annotated[Angle | None, about("that positions call `angle`, degrees; `--tilt` takes its place")] = None
     alignment: Annotated[FromZero, about("with `level`: how askew it may sit, degrees, or `--alignment`")] = 0.0
-    samples: Annotated[int, Meta(ge=2), about("samples a position")] = 100
+    samples: Annotated[int, Meta(ge=2, le=int(MOST)), about("samples a position")] = 100
     settle: Annotated[AboveZero, about("seconds over which the reading must hold still")] = 2.0
     soak: Annotated[Soak, about("at a new temperature", usual=USUAL_SOAK)] = Soak(20.0, 0.06, 360.0)
     compares: Annotated[bool, about("whether a reference on the plate says the angles, and nobody states any")] = False

@@ -35,7 +35,7 @@ KINDS = {
 }
 """What messages call the files of each ``kind``."""
 
-_LARGEST = 1.7976931348623157e308
+_LARGEST, _LARGEST_COUNT = 1.7976931348623157e308, 10**18  # nanoseconds of 31 years
 
 # What is stated has a bound, as the options have; what is computed is finite.
 Number = Annotated[float, Meta(ge=-MOST, le=MOST)]
@@ -43,8 +43,8 @@ FromZero = Annotated[float, Meta(ge=0.0, le=MOST)]
 AboveZero = Annotated[float, Meta(ge=LEAST, le=MOST)]
 Finite = Annotated[float, Meta(ge=-_LARGEST, le=_LARGEST)]
 Size = Annotated[float, Meta(ge=0.0, le=_LARGEST)]
-Count = Annotated[int, Meta(ge=0)]
-FromOne = Annotated[int, Meta(ge=1)]
+Count = Annotated[int, Meta(ge=0, le=_LARGEST_COUNT)]
+FromOne = Annotated[int, Meta(ge=1, le=_LARGEST_COUNT)]
 Text = Annotated[str, Meta(pattern=r"\S")]
 Identifier = Annotated[
     str, Meta(pattern=r"^[^\W\d_][\w.-]*$", extra={"says": "a letter followed by letters, digits, '-', '_' and '.'"})

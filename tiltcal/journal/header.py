@@ -28,6 +28,7 @@ from tiltcal.files.procedure import Procedure, Rotation, procedure_in
 from tiltcal.files.record import AboveZero, FromOne, FromZero, Number, Record, Text, about, one_of
 from tiltcal.files.results import Reference, Standard
 from tiltcal.journal.lines import Journal
+from tiltcal.stated_arguments import MOST
 from tiltcal.units import CONVENTIONS
 
 if TYPE_CHECKING:
@@ -42,7 +43,7 @@ class Settings(Record, kw_only=True):
 
     always_written = ("samples", "settle", "soak", "jig", "thermometer", "angle")
 
-    samples: Annotated[Annotated[int, Meta(ge=2)], about("samples a position")] = 100
+    samples: Annotated[Annotated[int, Meta(ge=2, le=int(MOST))], about("samples a position")] = 100
     settle: Annotated[AboveZero, about("seconds over which the reading must hold still")] = 2.0
     soak: Annotated[AboveZero, about("seconds of the window at a new temperature")] = 20.0
     jig: Annotated[FromZero | None, about("standard uncertainty of a set angle, degrees")] = None

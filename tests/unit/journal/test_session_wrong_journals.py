@@ -16,7 +16,7 @@ from tiltcal.journal.header import Setup
 from tiltcal.journal.lines import Journal
 from tiltcal.journal.session import RecordedSession
 
-WRONG: list[Any] = [None, True, -1, 10**18, 1.5, "x", "zz", "", [], ["x"], {}, {"to": 3}, [[]]]
+WRONG: list[Any] = [None, True, -1, 10**19, 1.5, "x", "zz", "", [], ["x"], {}, {"to": 3}, [[]]]
 
 
 @cache
