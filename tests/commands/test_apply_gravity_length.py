@@ -9,11 +9,8 @@ import pytest
 
 from tests.support.command import tiltcal
 from tiltcal import read
-from tiltcal.calibration.stated import stated_uncertainty
-from tiltcal.core.angle_uncertainty import length_half_width
 
 NOTE = "|g| is"
-FREE = Path(__file__).parents[2] / "fixtures" / "free.yaml"
 
 
 @pytest.fixture(autouse=True)
@@ -71,36 +68,6 @@ def test_what_a_tilt_does_not_show() -> None:
         assert not length or re.search(
             rf"\|g\| is {re.escape(length)}\d*: supply, unit, place or zero differ from", said
         )
-
-
-def test_the_uncertainty_of_the_length_is_that_of_a_simulation() -> None:
-    """Calibrations and readings drawn from the file's own covariance: at the worst attitude 95 % are within."""
-    calibration = read(FREE)
-    known = calibration.record
-    stated, _ = stated_uncertainty(known)
-    half = length_half_width(known.coefficients, calibration.limits, stated)
-    inputs = known.uncertain
-    noise = [known.uncertainty.single_reading[channel] for channel in known.coefficients.channels]
-    draw = np.random.default_rng(5)
-    up = draw.normal(size=(60, 3))
-    up /= np.linalg.norm(up, axis=1, keepdims=True)
-    names, size = inputs.names, 4000
-    error = draw.multivariate_normal(np.zeros(len(names)), inputs.covariance, size)
-    offset = np.stack([error[:, names.index(f"offset.{a}")] for a in "xyz"], axis=1)
-    wrong = np.array(
-        [
-            [error[:, names.index(n)] if (n := f"sensitivity.{a}.{b}") in names else np.zeros(size) for b in "xyz"]
-            for a in "xyz"
-        ]
-    )
-    inverse = np.linalg.inv(known.coefficients.sensitivity)
-    widths = []
-    for g in up:
-        readings = offset + np.einsum("abn,b->na", wrong, g) + draw.normal(size=(size, 3)) * noise
-        lengths = np.linalg.norm(g + readings @ inverse.T, axis=1)
-        widths.append(np.quantile(np.abs(lengths - 1.0), 0.95))
-    assert half == pytest.approx(max(widths), rel=0.12)
-    assert half < 0.02  # so 0.02 counts
 
 
 class TestMeans:

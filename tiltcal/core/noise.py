@@ -329,7 +329,7 @@ def _useful(noise: ChannelNoise, samples: NDArray[np.int64], u: Array) -> tuple[
     helps = np.flatnonzero(shorter & (twice <= (1.0 - _GAIN) * np.minimum.accumulate(u)))
     if not shorter.any() or (len(helps) and helps[-1] == np.flatnonzero(shorter)[-1]):
         return int(samples[-1]), "record"
-    place = min(int(helps[-1]) + 1, len(samples) - 1) if len(helps) else 0
+    place = int(np.max(helps, initial=-1)) + 1
     if noise.rounding > float(u[place]) / sqrt(2.0):
         return int(samples[place]), "rounding"
     rest = {name: part[0] for name, part in noise.terms.parts(noise.tau[-1:]).items() if name in _LIMITS}

@@ -5,7 +5,8 @@ out.
 """
 
 from collections.abc import Callable
-from math import asin, cos, degrees, pi, radians, sqrt
+from dataclasses import replace
+from math import asin, cos, degrees, pi, radians, sin, sqrt
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 from support.uncertain_readings import moved, uncertain_readings
 
-from tiltcal.core.angle_uncertainty import CompensationWithUncertainty
+from tiltcal.core.angle_uncertainty import CompensationWithUncertainty, length_half_width
 from tiltcal.core.attitude import mounting_matrix
 from tiltcal.core.compensation import Compensated, Compensation
 from tiltcal.core.earth_frame import EarthFrameCompensation
@@ -216,6 +217,30 @@ def test_an_argument_beyond_its_own_interval_has_no_uncertainty() -> None:
     assert (expanded[1, 0], standard[1, 0]) == pytest.approx((expected, expected / NORMAL), rel=1e-3)
     _, standard, expanded = judged(LEVELLING, np.array([[1000.0, 0.0, 0.0]]))
     assert (expanded[0, 4], standard[0, 4]) == pytest.approx((180.0, degrees(pi / sqrt(3))), rel=1e-3)
+
+
+def test_the_length_of_gravity_is_as_uncertain_as_where_it_is_most() -> None:
+    """Offsets, own sensitivities, drifts and readings, all independent: u² = o² + s² sum(g_i^4) + (k dT)² + r²."""
+    thermal = Thermal(20.0, (0.0, 35.0), np.zeros((3, 1)), np.zeros((3, 0)))
+    known = replace(LEVELLING, sensitivity=np.eye(3), thermal=thermal)
+    sizes = {"offset.{}": 1e-3, "sensitivity.{0}.{0}": 2e-3, "temperature.offset.{}.1": 1e-4}
+    names = [name.format(axis) for name in sizes for axis in AXES]
+    doubt = uncertain_readings(
+        tuple(names), np.diag(np.repeat([*sizes.values()], 3)) ** 2, np.full(9, NORMAL), [5e-4] * 3
+    )
+    tilts = {"x": (radians(30.0), radians(60.0)), "y": (0.0, 0.0), "z": (0.0, pi / 2)}
+    up, down = {**tilts, "x": (0.0, 0.1)}, {**tilts, "z": (-pi / 2, -1.0)}
+    for tilt, within, fourth, warm in (
+        ({}, None, 1.0, 20.0),
+        (tilts, None, 5 / 8, 20.0),
+        (up, (10.0, 50.0), 1.0, 15.0),
+        (down, (15.0, 22.0), 5 / 8, 5.0),
+        ({**tilts, "z": (0.6, 0.8)}, (15.0, 22.0), sin(radians(52.5)) ** 4 + cos(radians(52.5)) ** 4, 5.0),
+        ({**tilts, "z": (0.0, 0.1)}, None, 0.0, 0.0),
+    ):
+        square = 1e-6 + 4e-6 * fourth + (1e-4 * warm) ** 2 + 25e-8
+        found = length_half_width(known, Limits(tilt=tilt, temperature=within), doubt)
+        assert found == pytest.approx(NORMAL * sqrt(square) if fourth else 0.0, rel=0.01), tilt
 
 
 def test_what_has_no_angle_to_use_has_no_uncertainty() -> None:

@@ -86,7 +86,7 @@ def test_tilts_are_the_sines_of_up_and_no_direction_moves_without_them() -> None
         expected = (sin(radians(x)), sin(radians(y)))
         assert up == pytest.approx((*expected, np.sqrt(max(1.0 - expected[0] ** 2 - expected[1] ** 2, 0.0))), abs=1e-7)
         assert attitude.tilt_from_gravity([3.0 * one for one in up]) == pytest.approx({"x": x, "y": y})
-    assert attitude.gravity_from_tilt({"y": 30.0})[:2] == (0.0, 0.5)
+    assert [attitude.gravity_from_tilt({axis: 30.0})[:2] for axis in "xy"] == [(0.5, 0.0), (0.0, 0.5)]
 
 
 @pytest.mark.parametrize(

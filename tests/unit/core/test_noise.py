@@ -12,6 +12,7 @@ from tiltcal.core.noise import (
     Average,
     ChannelNoise,
     allan_variance,
+    average,
     characterise,
     degrees_of_freedom,
     kinds_of_noise,
@@ -51,6 +52,17 @@ def test_the_allan_deviation_is_that_of_allantools() -> None:
     # Up to 32 samples every start counts; beyond, one in many, which changes less than the statistics leave open.
     assert np.sqrt(variance[:6]) == pytest.approx(deviation[:6], rel=1e-9)
     assert np.sqrt(variance[6:]) == pytest.approx(deviation[6:], rel=0.02)
+    # A mean counts where half of its samples are there.
+    gaps = np.where(rng(7).uniform(size=1000) < 0.4, np.nan, white(1000, seed=8) + 50.0)
+    for size, found in zip(*allan_variance(gaps), strict=True):
+        windows = np.lib.stride_tricks.sliding_window_view(gaps, size)
+        there = np.sum(np.isfinite(windows), axis=1)
+        means = np.where(2 * there >= size, np.nansum(windows, axis=1) / np.maximum(there, 1), np.nan)
+        if size <= 32:
+            assert found == pytest.approx(np.nanmean((means[size:] - means[:-size]) ** 2) / 2.0)
+            usable = means[::size][np.isfinite(means[::size])]
+            expected = (len(usable), usable.mean(), usable.std(ddof=1), np.ptp(usable))
+            assert tuple(vars(average(gaps, int(size))).values())[1:] == pytest.approx(expected)
 
 
 def test_the_limits_are_those_of_chi_square_and_one_octave_follows_any_term() -> None:
@@ -156,4 +168,5 @@ def test_degrees_of_freedom_are_those_of_nist_sp_1065() -> None:
     """Table 5 by hand, of 101 phases: averages of four samples; single ones of flicker noise with N - 2 squared."""
     assert degrees_of_freedom("white", 100.0, 4.0) == pytest.approx(32.9643, rel=1e-5)
     assert degrees_of_freedom("flicker", 100.0, 1.0) == pytest.approx(86.2005, rel=1e-5)
+    assert degrees_of_freedom("flicker", 100.0, 4.0) == pytest.approx(5 * 101**2 / (16 * 113))
     assert degrees_of_freedom("walk", 100.0, 4.0) == pytest.approx(22.8430, rel=1e-5)

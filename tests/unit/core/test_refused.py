@@ -140,7 +140,7 @@ REFUSED: dict[type[Exception], list[tuple[Callable[[], object], str]]] = {
     ],
     InputError: [
         (lambda: gravity_from_tilt({"x": 1.0, "z": 1.0}), "tilt names axis 'z'"),
-        (lambda: gravity_from_tilt({"x": 90.5}), "a tilt of 90.5° is not between"),
+        (lambda: gravity_from_tilt({"x": -90.5}), "a tilt of -90.5° is not between"),
         (lambda: gravity_from_tilt({"y": nan}), "a tilt of nan° is not between"),
         (lambda: normalised([0.0, 1.0]), "three finite numbers"),
         (lambda: normalised([0.0, 1.0, inf]), "three finite numbers"),
