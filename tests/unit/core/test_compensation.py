@@ -141,6 +141,9 @@ class TestFlags:
         assert result.tilt[:, 0] == pytest.approx([30.0, 90.0, -90.0, 90.0, -90.0, 90.0, nan, nan], nan_ok=True)
         assert result.tilt[:, 1].tolist() == [0.0] * 8
         assert verdicts(result) == [(1, 0)] * 3 + [(3, 1)] * 3 + [(4, 1)] * 2
+        for y, verdict in ((0.59, (1, 0)), (0.61, (3, 1))):  # 0.8 and 0.6 leave nothing for a z that both see
+            beyond = np.array(OFFSET) + np.array(TWO_OF_THREE)[:, :2] @ (0.8, y)
+            assert verdicts(Compensation(coefficients(TWO_OF_THREE))(beyond[None])) == [verdict]
 
     @pytest.mark.parametrize("mounting", [None, Mounting(roll=0.3, pitch=-0.2)])
     def test_three_axes_that_read_0_g_have_no_direction(self, mounting: Mounting | None) -> None:

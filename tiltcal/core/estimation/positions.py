@@ -59,7 +59,7 @@ class InstrumentErrors:
             by_tilt *= np.sqrt(np.maximum(1.0 - sine**2, 0.0))[:, None]
             if axis in self.axes:
                 columns += [radians(self.zero) * by_tilt, self.scale * np.arcsin(sine)[:, None] * by_tilt]
-            elif self.unread:
+            else:
                 own = settings == np.arange(settings.max() + 1)[:, None]
                 columns += [radians(self.unread) * by_tilt * here[:, None] for here in own]
         return np.stack(columns, axis=2)

@@ -78,7 +78,7 @@ class StageRecord:
     def turns(self) -> float:
         """The turns from the first whole row to the last; an EstimateError where they are less than two."""
         angle = self.angle[self.whole]
-        turns = max(float(angle[-1] - angle[0]), 0.0) if len(angle) > 1 else 0.0
+        turns = max(float(np.sum(angle[-1:] - angle[:1])), 0.0)
         # Each row stands for one step, the last one too.
         if turns * len(angle) / max(len(angle) - 1, 1) < FEWEST_TURNS - ROUNDING:
             raise EstimateError(
@@ -152,8 +152,8 @@ def estimated_angle(time: Array, readings: Sequence[Array]) -> Array:
 
 def estimate_spin(time: Array, readings: Array) -> Spin:
     """Find the spin that fits all channels best, from time (n,), with gaps and jitter, and readings (n, channels)."""
-    span = float(time[-1] - time[0]) if len(time) > 1 else 0.0
-    if len(time) < _FEWEST_ROWS or not 0.0 < span == float(np.ptp(time)):
+    span = float(time[-1] - time[0]) if len(time) >= _FEWEST_ROWS else 0.0
+    if not 0.0 < span == float(np.ptp(time)):
         raise EstimateError(
             "the record is too short, its time does not change, or a time lies before its first or after its last: the "
             "spin cannot be estimated"

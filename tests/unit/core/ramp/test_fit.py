@@ -104,6 +104,9 @@ def test_the_noise_is_the_mean_over_what_the_restricted_likelihood_allows():
     """Patterson and Thompson (1971), dense: white noise, and some that lasts 1/64 to 1.2 of the record."""
     means = fit_ramp(made(1.0, noise=0.3, wander=0.05, rows=96), reference=REFERENCE, highest=3).means
     x, span = means.powers(0.0, 2), means.time[-1] - means.time[0]
+    at, d = x[3:20, 1], x[4, 1] - x[3, 1]  # each is the mean over a steady change by d
+    for k, power in enumerate(means.powers(0.0, 3)[3:20].T, start=1):
+        assert power == pytest.approx(((at + d / 2.0) ** k - (at - d / 2.0) ** k) / (k * d))
     (n, p), apart = x.shape, np.abs(np.subtract.outer(means.time, means.time)) / span
     for y in means.readings.T:
         left = y - x @ np.linalg.lstsq(x, y, rcond=None)[0]
@@ -154,7 +157,7 @@ def test_hysteresis_without_time_is_no_lag_and_its_loop_is_in_the_uncertainty(wi
     # The intervals hold the readings on the ways up and down, and are not much wider.
     way_up_less_down = read(PLACES - wide(PLACES)) - read(PLACES + wide(PLACES))
     error, reach, half = curve_error(fit.coefficients), 1.96 * u_of_curve(fit), way_up_less_down.T / 2.0
-    assert np.max(np.abs(error)) < 0.15
+    assert np.max(np.abs(error)) < 0.1
     assert np.max(reach) < 1.3 * np.max(np.abs(half)) + 0.15
     assert np.mean(np.abs(np.stack([error - half, error + half])) < reach) > 0.8
     assert fit.loops.mean(axis=0) == pytest.approx(way_up_less_down.mean(axis=0), abs=0.15)
@@ -238,7 +241,7 @@ def test_steps_of_the_thermometer_are_not_taken_for_drift_of_a_quiet_sensor():
 
 
 def test_a_second_lag_is_refused_with_the_pace_at_which_one_describes_the_record():
-    """150 s behind 60 s. A twentieth of the pace has no turn to see."""
+    """150 s behind 60 s. Records at 0.15 °C/min have no turn to see, those at 0.2 °C/min do."""
 
     def slopes(t, e):
         return [(chamber(t, 1.0) - e[0]) / 60.0, (e[0] - e[1]) / 150.0]
@@ -248,7 +251,7 @@ def test_a_second_lag_is_refused_with_the_pace_at_which_one_describes_the_record
     readings = read(element) + 0.1 * np.random.default_rng(5).normal(size=(2400, 2))
     with pytest.raises(EstimateError, match=r"residuals depend on temperature .* by a second one") as refusal:
         fitted(seconds, chamber(seconds, 1.0), readings)
-    assert 0.01 < float(str(refusal.value).split("change the temperature at ")[1].split(" °C/min")[0]) < 0.9
+    assert 0.1 < float(str(refusal.value).split("change the temperature at ")[1].split(" °C/min")[0]) < 0.3
 
 
 def test_a_record_that_starts_on_the_way_is_refused():
