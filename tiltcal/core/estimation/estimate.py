@@ -128,8 +128,6 @@ def estimate_jointly(sensors: Sequence[SensorObservations]) -> tuple[Estimate, .
         why = "the residuals are larger than any error of the set angles explains; see that the positions are named "
         why = f"{why}right, and that the readings are plausible" if solution.bench[JIG] > LARGEST_JIG else ""
     except EstimateError as unsettled:
-        if solution.dof <= 0:
-            raise
         why = str(unsettled)
     if why:
         errors = _errors_as_set(equations, start)

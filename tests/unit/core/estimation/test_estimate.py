@@ -1,5 +1,6 @@
 """The estimator against exact readings, and scipy's own optimiser."""
 
+from dataclasses import replace
 from math import cos, radians, sin
 
 import numpy as np
@@ -103,10 +104,25 @@ def test_the_joint_minimum_is_scipys() -> None:
     np.testing.assert_allclose(found.uncertain.u, peer_u, rtol=0.01)
 
 
-def test_readings_that_have_nothing_to_do_with_the_positions_are_refused() -> None:
+def test_noise_of_which_nothing_is_stated_is_that_of_the_plane_through_all_readings() -> None:
+    """Held by hand, off by more than 10°, but no more than attitudes explain: linear least squares of 18 readings."""
+    up = np.array([*FACES.values()], dtype=float)
+    turns = Rotation.from_rotvec(np.random.default_rng(3).normal(0.0, radians(9.0), (6, 3)))
+    mean, (u, xyz) = 2.0 + 5.0 * turns.apply(up), (1e-3, ("x", "y", "z"))
+    seen = [replace(observe(name, up[k], *mean[k], u=u), noise_unknown=True) for k, name in enumerate(FACES)]
+    found = estimate(seen, Design(xyz, xyz))
+    table, left, _, _ = np.linalg.lstsq(np.column_stack([np.ones(6), up]), mean)
+    known = np.column_stack([found.coefficients.offset, found.coefficients.sensitivity])
+    np.testing.assert_allclose(known, table.T, atol=1e-3)
+    assert found.estimated_noise == pytest.approx(np.sqrt(left.sum() / 6.0), rel=1e-3)
+    assert np.degrees(np.abs(mean - np.column_stack([np.ones(6), up]) @ table).max() / 5.0) > 10.0
+
+
+@pytest.mark.parametrize("unknown", [False, True], ids=["noise stated", "nothing stated"])
+def test_readings_that_have_nothing_to_do_with_the_positions_are_refused(unknown: bool) -> None:
     rng = np.random.default_rng(1)
     observations = [
-        observe(str(k), up, *rng.normal(size=3), u=1e-6)
+        replace(observe(str(k), up, *rng.normal(size=3), u=1e-6), noise_unknown=unknown)
         for k, up in enumerate(Rotation.random(12, rng).apply((0, 0, 1)))
     ]
     with pytest.raises(EstimateError, match="larger than any error of the set angles explains"):
