@@ -34,7 +34,7 @@ from typing import ClassVar
 from tiltcal.drivers.bus import Link, SpiPort, check_data_line, require_length
 from tiltcal.drivers.bus.address import Address
 from tiltcal.drivers.bus.clock import SECOND, Clock
-from tiltcal.drivers.virtual import HeldPose, Truth, VirtualPart, uniform
+from tiltcal.drivers.virtual import HeldPose, Truth, VirtualPart
 from tiltcal.errors import BusError, DeviceFault
 
 SCHEMES = ("ads1115+i2c", "mcp3208+spi")
@@ -253,8 +253,7 @@ class VirtualAds1115(VirtualPart):
 
     def _convert(self) -> None:
         """Start the conversion of the config register now."""
-        seconds = 1.0 - TOLERANCE + 2.0 * TOLERANCE * uniform(self._truth.seed, "oscillator", 0)
-        seconds /= RATES[self._config >> 5 & 0b111]
+        seconds = (1.0 + TOLERANCE) / RATES[self._config >> 5 & 0b111]  # as slow as a part may be
         full_scale = RANGES[self._config >> 9 & 0b111]
         volts = self._volts(self._config >> 12 & 0b011)
         self._former_code, self._code = self._code, min(max(round(volts / full_scale * 32768), -32768), 32767)

@@ -35,10 +35,6 @@ READY = {"answer": "ready"}
 SENSOR: Any = {"sensor": "sca100t-d02", "address": "sim:?seed=1", "serial": "S-1", "output": "S-1.yaml"}
 
 
-def ready(ask: Event, number: int) -> Event:
-    return READY
-
-
 def dialogue(said: list[tuple[str, Event]]) -> list[Event]:
     """What is told where a position is answered so; nothing of ready is said before the last of all is accepted."""
     truth, steps = find_model("sca100t-d02").default_truth(1), find_procedure("plane").positions
@@ -90,10 +86,7 @@ def test_a_program_is_told_once_a_minute_what_is_waited_for(tmp_path: Path, monk
     twin = (FIXTURES / "twins" / "sca100t-d02.yaml").read_text()
     (tmp_path / "slow.yaml").write_text(twin.replace("time_constant: 0.1", "time_constant: 60.0"))
     options = ("--sensor", "sca100t-d02", "--address", "sim:?twin=slow.yaml", "--serial", "S-1", "-o", "S-1.yaml")
-    led = lead(
-        *("measure", "two-temperature", *options, "--samples", "20"),
-        cwd=tmp_path,
-    )
+    led = lead(*("measure", "two-temperature", *options, "--samples", "20"), cwd=tmp_path)
     assert led.exit_code == 0, led.errors
     cold = [event for event in led.events("waiting") if event["position"] == led.asks[-1]["position"]]
     assert len(cold) > 5
@@ -102,8 +95,6 @@ def test_a_program_is_told_once_a_minute_what_is_waited_for(tmp_path: Path, monk
     assert all(event["seconds"] % 60 < 10 for event in cold)
     asked = led.asks[-1]["temperature"]
     assert abs(cold[-1]["temperature"] - asked) < abs(cold[0]["temperature"] - asked)
-    (tmp_path / "quick").mkdir()
-    assert not table(tmp_path / "quick", "plane", ready).events("waiting")
 
 
 def test_a_position_is_asked_for_in_vain_a_hundred_times_in_a_row_and_no_more(tmp_path: Path) -> None:

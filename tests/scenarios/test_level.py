@@ -62,9 +62,7 @@ def test_a_level_without_the_temperature_that_counts_is_asked_for_again(tmp_path
     own = read_calibration(FIXTURES / "free.yaml")
     thermal = Thermal(24.0, (5.0, 30.0), np.full((3, 1), 0.1), np.zeros((3, 0)))
     base = replace(
-        own,
-        sensor=own.sensor.replaced(model="sca3000-e04"),
-        coefficients=replace(own.coefficients, thermal=thermal),
+        own, sensor=own.sensor.replaced(model="sca3000-e04"), coefficients=replace(own.coefficients, thermal=thermal)
     )
     Calibration(base).save(tmp_path / "base.yaml")
     typed = iter([{"answer": "ready"}, {"answer": "ready", "temperature": 12.0}])

@@ -176,6 +176,9 @@ def test_what_machines_set_is_answered_and_what_moves_afterwards_is_refused() ->
         assert operator.most_attempts == 10
         assert operator.ask(Review(name, {})) == {"answer": "accept"}
         assert operator.ask(asked(steps, name)) == said  # it is there
+        operator._thermometer = True  # of the bench, which says the temperature
+        assert operator.ask(asked(steps, name)) == {"answer": "ready", "tilt": {"x": tilt, "y": 0.0}}
+        operator._thermometer = False
 
     def on_the_way(machine: str, goal: str, minutes: int) -> list[str]:
         way = f"the {machine} on the way to {goal}"
@@ -196,13 +199,30 @@ def test_what_machines_set_is_answered_and_what_moves_afterwards_is_refused() ->
         operator.ask(Review("b", {}))
 
 
+def test_a_chamber_alone_answers_its_temperature_and_is_only_sent_on_its_way_on_a_ramp() -> None:
+    clock, ready, level = (
+        VirtualClock(),
+        {"answer": "ready"},
+        TWO.replace("x: 30", "x: 0").replace("x: -30", "x: 0") % "",
+    )
+    ramp = {"determines": {"axes": [], "drift": 1}, "ramp": {"pace": 1.0, "interval": 10}}
+    for more, left_out, reached in (({}, "", {"temperature": pytest.approx(24.0, abs=0.5)}), (ramp, "soak", {})):
+        chamber = VirtualChamber(np.random.default_rng(1), by_clock(clock))
+        head = {key: value for key, value in {**HEAD, **more}.items() if key != left_out}
+        steps = procedure_in(document_of({**head, "positions": yaml.safe_load(level)}))
+        movers, began_ns = movers_of({"chamber": (CHAMBER, chamber)}, clock), clock.now_ns()
+        operator = Machines(Person(ready), movers, steps, clock, thermometer=False)
+        assert operator.ask(asked(steps, "a")) == {**ready, **reached}
+        assert (clock.now_ns() > began_ns, chamber.target) == (bool(reached), 24.0)
+
+
 def test_what_no_machine_sets_is_asked_for_where_it_changes_or_was_wrong() -> None:
     """A table of one axis: heading and the other tilt are a person's, and are asked for again after all but ready."""
     ready, accept = {"answer": "ready"}, {"answer": "accept"}
     person = Person("nonsense", {"answer": "redo"}, {**ready, "position": "b"}, {**ready, "tilt": {"y": 0.2}}, accept,
                     ready, {"answer": "back"}, ready, ready, accept, ready, accept)  # fmt: skip
     one_axis = TABLE.replaced(limits={"x": (-95, 95)}, pattern="MPos:(?P<x>[-0-9.]+)", set=("G0 X{x:.3f} Y0",))
-    operator, _, _, steps = table_and_chamber(person, one_axis, TWO % ", heading: 90")
+    operator, table, _, steps = table_and_chamber(person, one_axis, TWO % ", heading: 90")
     a, b, review = asked(steps, "a"), asked(steps, "b"), Review("a", {})
     set_x: Any = {"tilt": {"x": 30.0}, "temperature": pytest.approx(24.0, abs=0.5)}
     assert [operator.ask(a), operator.ask(a)] == ["nonsense", {"answer": "redo"}]
@@ -218,10 +238,8 @@ def test_what_no_machine_sets_is_asked_for_where_it_changes_or_was_wrong() -> No
     assert operator.ask(b)["answer"] == "ready"  # type: ignore[index]
     operator.tell(Refused("b", "askew"))
     assert [operator.ask(b)["answer"], operator.ask(review)] == ["ready", accept]  # type: ignore[index]
-    assert (operator.to_take_again(["b"], ["a", "b"]), operator.to_take_again(["b"], ["a", "b"])) == (
-        ["a", "b"][1:],
-        ["b"],
-    )
+    assert [operator.to_take_again(["b"], ["a", "b"]) for _ in range(2)] == [["b"], ["b"]]
+    table.switch_on()  # it is opened anew for a reference run, which lets it move
     assert operator.ask(b)["answer"] == "ready"  # type: ignore[index]
     assert operator.ask(review) == accept
     asks = [one for one in person.got if one.startswith(("position", "review"))]
@@ -376,6 +394,9 @@ def test_a_dry_run_reaches_every_position_without_a_sensor(tmp_path: Path, monke
     assert stalled.returncode == 3
     assert "x-tilt1: table: it is at" in stalled.stderr
     tiltcal("measure", "plane", "--sensor", "sca100t-d02", "--dry-run", cwd=tmp_path, code=2)
+    (tmp_path / "bench.yaml").write_text(f"tiltcal: 1\nkind: bench\nsensors:\n{SENSOR}")
+    still = tiltcal("measure", "plane", "--bench", "bench.yaml", "--dry-run", cwd=tmp_path, code=2)
+    assert "a dry run moves the table or the chamber of a bench file, and there is none to move" in still.stderr
 
 
 def test_an_object_with_set_and_read_moves_the_table(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

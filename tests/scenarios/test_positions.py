@@ -8,12 +8,11 @@ from typing import Any
 
 import pytest
 import scipy
-from support import ROOT
 from support.command import tiltcal
 
 from tiltcal import Calibration, measure
-from tiltcal.bench import devices, settle
-from tiltcal.drivers.virtual import Fixture, VirtualPart
+from tiltcal.bench import devices
+from tiltcal.bench.settle import Window
 from tiltcal.errors import Stopped
 
 TWIN = """\
@@ -165,37 +164,6 @@ def test_a_sensor_whose_offset_nobody_states_is_said_to_be_compared_with_itself_
 # Temperatures
 
 
-LATE = """\
-tiltcal: 1
-kind: twin
-model: scl3300
-seed: 5
-truth:
-  offset: {x: 10.0, y: -20.0, z: 5.0}
-  sensitivity: {x: {x: 6000, y: 0, z: 0}, y: {x: 0, y: 6000, z: 0}, z: {x: 0, y: 0, z: 6000}}
-  temperature: {reference: 24.0, offset: {x: [6.0], y: [-6.0], z: [0.0]}}
-  noise: {x: 2.0, y: 2.0, z: 2.0}
-"""
-
-
-def test_a_thermometer_that_is_five_minutes_late_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The chamber goes by 1 °C/min, the part with it; its thermometer is still behind when it has arrived."""
-    Path("twin.yaml").write_text(LATE)
-    # Windows of a minute have a third of the readings, and a third of the judgements; few of either show the lag.
-    monkeypatch.setattr(settle, "SOAK_LOOKS", 50)
-    shipped = (ROOT / "procedures" / "two-temperature.yaml").read_text()
-    Path("two.yaml").write_text(shipped.replace("soak: {seconds: 20,", "soak: {seconds: 60,"))
-    move = Fixture.move
-    monkeypatch.setattr(Fixture, "move", lambda fixture, gravity, to=None, _=0.0: move(fixture, gravity, to, 1.0))
-    monkeypatch.setattr(VirtualPart, "_celsius", lambda part: part._fixture.temperature(300.0))
-    found = session("two.yaml", sensor="scl3300")
-    assert found.positions[1].temperature == pytest.approx(5.5, abs=0.15)
-    for drift, channel, truth in zip(found.record.coefficients.thermal.drift[:, 0], "xy", (6.0, -6.0), strict=False):
-        name = f"temperature.offset.{channel}.1"
-        # What is left of the lag, 0.1 °C, is in no uncertainty unless a thermometer's is stated.
-        assert abs(drift - truth) < 1.5 * found.uncertainty[name] * found.uncertainty.coverage_factor[name]
-
-
 PARTED = """\
 tiltcal: 1
 kind: procedure
@@ -203,7 +171,7 @@ name: parted
 title: Two positions at one temperature, and two at another
 determines: {axes: [], drift: 1}
 reference: 24.0
-soak: {seconds: 20, drift: 0.3}
+soak: {seconds: 20, drift: 0.3, thermometer: 60}
 positions:
   - {name: warm-1, tilt: {x: 0, y: 0}, temperature: 24.0, prompt: "Level."}
   - {name: warm-2, tilt: {x: 0, y: 0}, temperature: 24.0, prompt: "Still level."}
@@ -212,11 +180,12 @@ positions:
 """
 
 
-def test_a_temperature_is_waited_for_again_after_another_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Back from the last position over the cold one to the second; the time constant is a minute."""
-    monkeypatch.setattr(settle, "SOAK_LOOKS", 50)
+def test_how_long_a_position_and_a_new_temperature_have_to_hold(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Twice the settling is twice the soak; back from the cold to a warm one; a typed temperature needs no near one."""
+    windows, go, back = list[Window](), {"answer": "ready"}, {"answer": "back"}
+    monkeypatch.setattr("tiltcal.bench.session.wait_until_still", lambda _, __, window, ___: windows.append(window))
     Path("parted.yaml").write_text(PARTED)
-    twin_with("time_constant: 60.0")
-    words = iter(["ready", "ready", "ready", "back", "back"])
-    found = session("parted.yaml", operator=SimpleNamespace(position=lambda ask: {"answer": next(words, "ready")}))
-    assert found.positions[1].temperature == pytest.approx(24.0, abs=2.0 + 0.92)
+    said = iter([go, go, go, back, back, go, {**go, "temperature": 5.5}, go])
+    session("parted.yaml", samples=5, settle=4.0, operator=SimpleNamespace(position=lambda ask: next(said)))
+    warm, cold, typed = (Window(40.0, 0.3, target, 120.0) for target in (24.0, 5.5, None))
+    assert windows == [warm, Window(4.0), cold, warm, typed, Window(4.0)]

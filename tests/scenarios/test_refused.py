@@ -16,6 +16,12 @@ SCA100T = f"--sensor sca100t-d02 {ON_SIM}"
 STAGE = f"--sensor gradiometer {ON_SIM}"
 
 REFUSED = {
+    f"measure rotation {STAGE.replace('sim:', 'sim:columns=a1,a2')}": "no device has the stage angle 'theta' (there",
+    f"measure rotation {STAGE.replace('sim:', 'sim:columns=theta,a1,a2')}": "not matched: there is no a4; a3 and a4",
+    f"measure plane --sensor serial-columns {ON_SIM.replace('sim:', 'sim:columns=x,up')}": "the virtual device has x",
+    f"measure plane --sensor sca100t-d01 {ON_SIM.replace('sim:', f'sim:twin={FIXTURES}/twins/sca100t-d02.yaml')}": (
+        "the twin file is of a sca100t-d02, not of a sca100t-d01"
+    ),
     f"measure plane {STAGE}": "reads theta, a1, a2, a3, a4 there",
     "plan plane --sensor gradiometer": "takes tilt sensors, which read x, y and z",
     "fit plane log.csv --segments s.csv --sensor gradiometer --serial G -o g.yaml": "takes tilt sensors",
@@ -59,6 +65,12 @@ WRONG_BENCH = [
     (BENCH + '  - {serial: a/b, model: m, address: "sim:"}\n', 5, "names a file"),
     (BENCH + '  - {serial: A, model: sca100t-d02, address: "sim:", axes: [x, x]}\n', 5, "two or three"),
     (BENCH + '  - {serial: A, model: sca100t-d02, address: "sim:"}\nsensors: []\n', 6, "sensors"),
+    (
+        BENCH
+        + '  - {serial: A, model: sca3000-e02, address: "sim:"}\nthermometer: {model: sca3000-e02, address: "sim:"}\n',
+        6,
+        "sca3000-e02 reports no temperature: it cannot be the bench's thermometer",
+    ),
     (BENCH.replace("0.01", "-1") + '  - {serial: A, model: m, address: "sim:"}\n', 3, "jig"),
 ]
 

@@ -2,22 +2,14 @@
 
 import io
 import os
+import select
 from collections.abc import Mapping
 from typing import Any
 
 import pytest
 
 from tiltcal.bench.devices import SensorSet
-from tiltcal.bench.messages import (
-    Accepted,
-    Begin,
-    Lost,
-    Measured,
-    Refused,
-    RotationQuestion,
-    ShownSensor,
-    StagePair,
-)
+from tiltcal.bench.messages import Accepted, Begin, Lost, Measured, Refused, RotationQuestion, ShownSensor, StagePair
 from tiltcal.bench.operators import LineReader, VirtualJig
 from tiltcal.drivers.model import Reading
 from tiltcal.errors import BusError, SensorError, Stopped
@@ -25,24 +17,28 @@ from tiltcal.files.bench import BenchSensor
 from tiltcal.journal.header import THERMOMETER
 
 
-def test_whole_lines_wait_half_ones_do_not_and_the_rest_at_the_end_is_a_line() -> None:
+@pytest.mark.parametrize("threaded", [False, True])
+def test_whole_lines_wait_half_ones_do_not_and_the_rest_at_the_end_is_a_line(
+    threaded: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also where select takes sockets alone, as on Windows: there a thread reads, which has them a moment later."""
+    if threaded:
+        monkeypatch.delattr(select, "poll")
     source, sink = os.pipe()
     with open(source, encoding="utf-8") as stream:
-        lines = LineReader(stream)
+        lines, arrived = LineReader(stream), list[str]()
         assert lines.waiting() == []
-        os.write(sink, b"one\ntw")
-        assert lines.waiting() == ["one\n"]
-        os.write(sink, "o\nthr\u00e9".encode())
-        assert lines.waiting() == ["one\n", "two\n"]
+        for piece, line in ((b"one\ntw", "one\n"), ("o\nthr\u00e9".encode(), "two\n")):
+            os.write(sink, piece)
+            arrived.append(line)
+            while threaded and lines.waiting() != arrived:
+                select.select([], [], [], 0.001)
+            assert lines.waiting() == arrived
         os.close(sink)
         assert [lines.next() for _ in range(4)] == ["one\n", "two\n", "thr\u00e9", ""]
         assert lines.waiting() == []
-
-
-def test_a_stream_without_a_descriptor_is_read_as_it_is() -> None:
-    lines = LineReader(io.StringIO("a\nb"))
-    assert lines.waiting() == []
-    assert [lines.next(), lines.next(), lines.next()] == ["a\n", "b", ""]
+    lines = LineReader(io.StringIO("a\nb"))  # without a descriptor
+    assert [lines.waiting(), *(lines.next() for _ in range(3))] == [[], "a\n", "b", ""]
 
 
 def test_what_the_virtual_jig_says() -> None:

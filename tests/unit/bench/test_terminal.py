@@ -338,8 +338,7 @@ def test_six_sensors_are_shown_below_their_targets_as_far_as_there_is_room(
 
 
 @pytest.mark.parametrize(
-    ("width", "traces"),
-    [(80, "  x ▄▄█▄▄▄  y ▄▄▄▄▄▄  z ▄▄▄▄▄▄"), (68, "  x ▄▄█▄▄▄  y ▄▄▄▄▄▄  z ▄▄▄▄▄▄"), (67, "")],
+    ("width", "traces"), [(80, "  x ▄▄█▄▄▄  y ▄▄▄▄▄▄  z ▄▄▄▄▄▄"), (68, "  x ▄▄█▄▄▄  y ▄▄▄▄▄▄  z ▄▄▄▄▄▄"), (67, "")]
 )
 def test_a_loose_wire_jumps_in_the_traces_of_one_sensor(width: int, traces: str) -> None:
     operator = terminal(shown := io.StringIO(), ENTER, width=width, live=True)

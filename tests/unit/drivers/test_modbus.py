@@ -8,7 +8,8 @@ import threading
 import time
 import tty
 from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, nullcontext
+from types import SimpleNamespace
 
 import pytest
 
@@ -84,25 +85,25 @@ def test_registers_are_written_one_or_several() -> None:
     script.close()
 
 
-def test_the_registers_of_a_unit_are_read(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_unit_that_refuses_or_is_silent_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(modbus, "SILENCE", 0.1)
-    columns = "columns=x@0*0.001,y@10:float32,z@12:float32,temperature@4*0.1"
     with serial_line(by_the_letter) as place:
-        with unit(place, f"unit=7&{columns}") as sensor:
-            assert sensor.probe() == {"x": "-0.5", "y": "0.125", "z": "-0.75", "temperature": "23.5 °C"}
-        with pytest.raises(DeviceFault, match="no such register"), unit(place, "unit=7&columns=x@500") as sensor:
-            sensor.read()
-        with (
-            pytest.raises(BusError, match="no answer of unit 8"),
-            unit(place, "unit=8&timeout=0.05&columns=x@0") as lost,
+        for options, error, why in (
+            ("unit=7&columns=x@500", DeviceFault, "no such register"),
+            ("unit=8&timeout=0.05&columns=x@0", BusError, "no answer of unit 8"),
         ):
-            lost.read()
+            with pytest.raises(error, match=why), unit(place, options) as sensor:
+                sensor.read()
 
 
 def test_units_on_one_line_share_its_port() -> None:
     lines: dict = {}
     with serial_line(by_the_letter) as place:
-        with unit(place, "unit=7&columns=x@0*0.001", lines) as first, unit(place, "unit=7&columns=x@1", lines) as other:
+        with (
+            unit(place, "unit=7&columns=x@0*0.001,temperature@4*0.1", lines) as first,
+            unit(place, "unit=7&columns=x@1", lines) as other,
+        ):
+            assert first.probe() == {"x": "-0.5", "temperature": "23.5 °C"}
             for _ in range(2):
                 first._link.close()
                 assert (first.read().values, other.read().values) == ((-0.5,), (250.0,))
@@ -172,6 +173,21 @@ def test_a_late_answer_is_never_that_of_another_register(monkeypatch: pytest.Mon
         for _ in range(2):
             assert both.read().values == (111.0, 222.0)
             assert other.read().values == (222.0,)
+
+
+def test_a_line_is_awaited_until_it_is_silent_for_three_seconds() -> None:
+    """Half a second without a byte each; a line on which twenty pieces come is never silent."""
+    for heard, pieces in (("", 6), ("......", 6), ("x", 7), (".....x", 12), ("x" * 19, 25), ("x" * 20, 20)):
+        arriving, asked = iter(heard), list[object]()
+
+        def recv(size: object, arriving: Iterator[str] = arriving, asked: list[object] = asked) -> bytes:
+            asked.append(size)
+            return b"x" if next(arriving, ".") == "x" else b""
+
+        client = SimpleNamespace(comm_params=SimpleNamespace(timeout_connect=0.5), recv=recv)
+        with pytest.raises(BusError, match="port is never silent") if pieces == 20 else nullcontext():
+            modbus.ModbusLine("port", client).await_silence()
+        assert len(asked) == pieces
 
 
 def test_an_answer_of_another_function_or_length_is_none(monkeypatch: pytest.MonkeyPatch) -> None:

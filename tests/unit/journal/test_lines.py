@@ -142,6 +142,22 @@ def test_what_another_process_wrote_since_it_was_read_is_not_cut_off(path: Path)
     assert path.read_bytes() == content
 
 
+def test_what_cannot_be_opened_made_or_continued_is_said_so(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    captured(path, finished=False)
+    journal = whole(path)
+    path.unlink()
+    with pytest.raises(JournalError, match="cannot be continued: No such file"):
+        JournalWriter.resume(journal)
+    with pytest.raises(JournalError, match="cannot be read: No such file"):
+        Journal(path)
+    with pytest.raises(UsageError, match="the journal cannot be made: No such file"):
+        captured(path / "in" / "none")
+    monkeypatch.setattr(os, "write", lambda *_: os.lseek(-1, 0, 0))
+    with pytest.raises(UsageError, match="the journal cannot be made: Bad file"):
+        captured(path)
+    assert not path.exists()
+
+
 def test_what_is_no_journal_is_said_so(path: Path) -> None:
     for content in (b"", b'{"tiltcal-journal"', b"time,x\n1,2\n", b"\x00" * 100 + b"\n", b"{}\n"):
         path.write_bytes(content)

@@ -91,6 +91,14 @@ def test_a_number_that_no_session_has(tmp_path: Path, number: str) -> None:
         replay(path)
 
 
+@pytest.mark.parametrize("end", [{"events": 1, "sha256": ""}, {"events": 2}, {}])
+def test_an_end_record_that_does_not_fit_is_refused(tmp_path: Path, end: dict[str, Any]) -> None:
+    header, *events = lines_of("plane")
+    path = written(tmp_path / "plane.journal.jsonl", [header, *events[:2], [0, "end", end]])
+    with pytest.raises(JournalError, match="jsonl:4: the end record does not fit the lines before it"):
+        list(Journal(path))
+
+
 def test_a_line_without_an_end_is_not_read_into_memory(tmp_path: Path) -> None:
     path = tmp_path / "plane.journal.jsonl"
     with path.open("wb") as stream:
