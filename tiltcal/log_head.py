@@ -126,8 +126,8 @@ def _pattern_of(lines: Sequence[str], later: Sequence[int]) -> Dialect | None:
         return None
     patterns = {}
     for shape, rows in shapes.items():  # of lines that differ in numbers and blanks alone: with the blanks of most
-        usual = Counter(tuple(printed(lines[row])[0]) for row in rows).most_common(1)[0][0]
-        pattern = Pattern(usual, _keys(lines[rows[0]].strip()))
+        counts = Counter(tuple(printed(lines[row])[0]) for row in rows)
+        pattern = Pattern(max(counts, key=counts.__getitem__), _keys(lines[rows[0]].strip()))
         if any(pattern.cells(lines[row].strip()) is not None for row in rows):
             patterns[shape] = pattern
     if not patterns:

@@ -15,7 +15,6 @@ def test_the_clock_of_a_monitor() -> None:
         ("9:30 > x", "9:30", "x"),
         ("9:30:01 PM -> x", "9:30:01 PM", "x"),
         ("12:03:11.123,1,2", "", "12:03:11.123,1,2"),
-        ("1,2", "", "1,2"),
     ):
         assert without_clock(line) == (clock, rest)
 

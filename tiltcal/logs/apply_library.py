@@ -22,7 +22,7 @@ from tiltcal.column_names import TIME
 from tiltcal.core.attitude import mounting_matrix
 from tiltcal.core.earth_frame import HEADING, full_circle
 from tiltcal.core.flags import OUTSIDE_TIME, SUSPECT, mark_columns
-from tiltcal.core.model import Array
+from tiltcal.core.model import Array, Mounting
 from tiltcal.core.tilt_angles import DIRECTIONS, tilt, tilts_of_three
 from tiltcal.errors import Argument, InputError, Parts, UsageError
 from tiltcal.files.moments import LEAST_SECONDS, MOST_SECONDS, moment
@@ -227,9 +227,7 @@ def _steps(dates: Array) -> Array:
 def _joined(history: SensorHistory, k: int) -> bool:
     """Return whether gravity may be interpolated between a calibration and the next: the sensor sat in one way."""
     history.require_line(k)
-    before, after = (history.calibrations[i].record.coefficients.mounting for i in (k, k + 1))
-    if before is None or after is None:
-        return True
+    before, after = (history.calibrations[i].record.coefficients.mounting or Mounting() for i in (k, k + 1))
     return float(np.trace(mounting_matrix(before).T @ mounting_matrix(after))) >= 1.0 + 2.0 * cos(
         radians(FARTHEST_TURN)
     )

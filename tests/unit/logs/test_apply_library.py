@@ -265,6 +265,11 @@ def test_of_different_mountings_the_nearer_in_time_is_taken(tmp_path: Path) -> N
     for options in ({}, {"uncertainty": True}):
         assert far.apply(frame, **options)["g_y"] == pytest.approx([100.0 / SCALE, -100.0 / SCALE])
     assert far.apply(frame, mounting="roll=180")["g_y"] == pytest.approx(np.full(2, -100.0 / SCALE))
+    (tmp_path / "three").mkdir()
+    records = mounted(first, 0.0), mounted(calibrated(60, (1000, 1010)), 0.0), mounted(last, 180.0)
+    frame = {"time": seconds([30.0, 79.0, 81.0]), "x": np.full(3, 1100.0), "y": np.full(3, 1100.0)}
+    found = tiltcal.open_calibrations(kept(tmp_path / "three", *records)).apply(frame)["g_y"]
+    assert found == pytest.approx(np.array([95.0, 90.0, -100.0]) / SCALE)
     (tmp_path / "other").mkdir()
     turned = replace(last, coefficients=replace(last.coefficients, sensitivity=-SCALE * np.eye(2)))
     with pytest.raises(UsageError, match=r"0\.yaml and S-1-1\.yaml: the sensitivity of x differs"):

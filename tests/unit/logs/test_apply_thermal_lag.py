@@ -10,7 +10,6 @@ from support import FIXTURES
 from tiltcal.errors import InputError
 from tiltcal.library.calibration import Calibration, read
 from tiltcal.library.recorded import apply_log
-from tiltcal.logs.apply import NO_TIME
 from tiltcal.logs.kernel import RoleValues, with_lag
 
 LAG = 120.0
@@ -48,15 +47,6 @@ def test_the_log_is_compensated_with_the_temperature_of_the_element(tmp_path):
     assert found["flag"].tolist() == expected["flag"].tolist()
 
 
-def test_without_times_rows_are_suspect_and_a_remark_names_the_column(tmp_path):
-    log, remarks = write(tmp_path / "log.csv", {**READINGS, "temperature": THERMOMETER}), []
-    found = applied(LAG, log, remarks.append)
-    assert remarks == [NO_TIME]
-    assert all(int(reason) & 16 for reason in found["reason"])
-    assert 1.0 not in set(found["flag"])
-    assert found["tilt_x"] == pytest.approx(applied(0.0, log)["tilt_x"])
-
-
 def plain(values):
     return {"t": values.temperature, "flag": np.ones(len(values)), "reason": np.zeros(len(values), np.uint16)}
 
@@ -77,6 +67,8 @@ def test_times_that_do_not_go_on_are_refused_with_their_row_in_whatever_block():
                 f"log.csv: time stands still or goes back at row {place}, and the calibration follows a thermal lag: "
                 "sort the log, or name a column of times that go on (columns time=NAME)"
             )
+    untimed = with_lag(plain, LAG, "log.csv")(RoleValues(np.empty((40, 2)), THERMOMETER[:40]))
+    assert (untimed["t"].tolist(), {*untimed["reason"]}) == (THERMOMETER[:40].tolist(), {16})
     late = np.concatenate([table["t"] for table in found])
     assert np.delete(late, slice(45, 50)) == pytest.approx(np.delete(ELEMENT, slice(45, 50)), abs=1e-9)
     assert np.flatnonzero(np.concatenate([table["reason"] for table in found])).tolist() == [*range(45, 50)]

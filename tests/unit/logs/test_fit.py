@@ -90,13 +90,6 @@ def test_a_column_time_that_holds_none_is_left_alone(base: Path) -> None:
     assert found.offset == known.offset
 
 
-@pytest.mark.parametrize("procedure", ["reversal", "two-temperature", "temperature-sweep"])
-def test_without_a_model_or_a_base_it_is_said_what_is_needed(procedure: str) -> None:
-    """It asked a two-axis log for a column z."""
-    with pytest.raises(tiltcal.EstimateError, match=r"determines no sensitivity, .*: name a sensor .* with base"):
-        tiltcal.fit(procedure, **recorded(procedure, (2.5, 2.4)), **SENSOR)
-
-
 @pytest.mark.parametrize("kind", ["frame", "log", "headerless", "table"])
 def test_a_two_axis_sensor_of_no_known_model(kind: str, tmp_path: Path) -> None:
     """Cross-axis sensitivity is of both channels to three axes: no column z is needed. Against eq. 2."""

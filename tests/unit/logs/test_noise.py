@@ -19,6 +19,10 @@ def test_a_gap_is_filled_with_what_is_missing() -> None:
     pace, samples = paced([0.0, 0.5, 1.0, 3.0, 3.5])
     assert samples == pytest.approx([0, 1, 2, np.nan, np.nan, np.nan, 3, 4], nan_ok=True)
     assert pace == Pace(interval=0.5, rows=5, gaps=1, lost=3)
+    assert paced([100.0, 101, 102, 103, 104, 0, 1, 2, 3, 4])[0] == Pace(interval=1.0, rows=10, gaps=1, lost=1)
+    # A row is late from one and a half intervals on, and the millisecond to which times may be written.
+    for late, lost in ((3.5, 0), (3.501, 0), (3.502, 1), (4.4, 1), (4.6, 2)):
+        assert paced([0.0, 1.0, 2.0, late])[0].lost == lost
 
 
 def test_a_row_without_a_time_keeps_its_place() -> None:
@@ -53,15 +57,12 @@ def test_times_that_show_no_pace(times: list[float], said: str) -> None:
         paced(times)
 
 
-def test_the_fewest_samples_are_64() -> None:
-    assert tiltcal.noise({"x": np.random.default_rng(1).normal(size=64)}, rate=1.0).channels["x"].count == 64
-
-
 def test_times_to_the_second_are_those_of_faster_rows() -> None:
     """A logger that writes whole seconds at 100 Hz: no row is lost between two of them."""
     columns, pace = evenly_spaced([np.arange(1000.0)], np.repeat(np.arange(10.0), 100), "log.csv")
     assert (len(columns[0]), pace.gaps) == (1000, 0)
     assert pace.interval == pytest.approx(9.0 / 999.0)
+    assert tiltcal.noise({"x": np.random.default_rng(1).normal(size=64)}, rate=1.0).channels["x"].count == 64
 
 
 def channel(sigma: float, follows: bool, step: float, **terms: float) -> ChannelNoise:

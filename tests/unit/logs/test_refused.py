@@ -72,6 +72,10 @@ REFUSED: dict[str, Callable[[], Any]] = {
         )
     ),
     "state the sensor's serial number": fit("plane", serial=None),
+    "two-temperature determines no sensitivity, and none is known: name a sensor model whose nominal one may stand in, "
+    "state it in the address (sensitivity=..., unit per g), or name the sensor's own calibration with base": fit(
+        "two-temperature", sensor=None, unit="V"
+    ),
     "state the unit of the readings (such as m/s2), or the sensor model: neither names nor the length of gravity at "
     "rest show it": fit(
         "free", {axis: np.eye(12)[k] * 1000.0 for k, axis in enumerate("xyz")}, sensor=None, table=True

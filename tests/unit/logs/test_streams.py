@@ -53,6 +53,22 @@ def test_what_is_written_goes_to_the_disk_piece_by_piece(tmp_path: Path, monkeyp
         assert list(with_writeback(sink, range(3))) == [0, 1, 2]
 
 
+def test_a_live_log_is_read_in_another_thread_too(tmp_path: Path) -> None:
+    """Where Ctrl-C cannot be caught."""
+    os.mkfifo(tmp_path / "device")
+    found = []
+
+    def read() -> None:
+        with log_source(str(tmp_path / "device"), live=True) as (stream, _):
+            found.append(stream.read(3))
+
+    thread = threading.Thread(target=read)
+    thread.start()
+    (tmp_path / "device").write_bytes(b"1,2")
+    thread.join()
+    assert found == [b"1,2"]
+
+
 def test_what_the_system_refuses_keeps_its_number() -> None:
     for said in ("no room: it is full (os error 28)", "H5Fclose: errno = 28, error message = '...'"):
         with pytest.raises(OSError, match="Errno 28"), refusing("this is no log", "log.nc"):

@@ -316,6 +316,7 @@ def test_a_first_line_of_numbers_is_a_row() -> None:
     for line, columns in rows.items():
         assert not dialect_of(line.splitlines()).has_header, line
         assert dialect_of(line.splitlines()).names == tuple(str(1 + k) for k in range(columns))
+    assert dialect_of(["7,abc", "5,2", "3,4", "5,6"]).first == 1
     above = ["x,y", "begun at noon", "right,left", "1,2", "3,4"]
     assert (dialect_of(above).names, dialect_of(above).first) == (("right", "left"), 3)
     for marked, comments in ((6, ("#", "//", "%")), (7, ("//", "%"))):  # as most lines begin
@@ -336,16 +337,11 @@ def test_the_dialect_is_seen_at_the_top() -> None:
         "0,5;1,25\n1,5;2,5\n": (("1", "2"), ";", ",", False, False),
         "note,x\na;b,1\n": (("note", "x"), ",", ".", True, False),
         "x,y,7\n1,2,3\n4,5,6\n": (("x", "y", "7"), ",", ".", True, False),
+        "time,x,\n0,1\n1,2\n": (("time", "x"), ",", ".", True, False),
     }.items():
         found = dialect_of(content.splitlines())
         assert (found.names, found.separator, found.decimal) == (names, separator, decimal)
         assert (found.has_header, found.has_blanks, found.first) == (header, blanks, int(header))
-
-
-def test_a_cell_between_tabs_may_be_empty() -> None:
-    """Between blanks an empty cell is none, and the row is too short."""
-    values = table(b"time\tx\ttemperature\n0\t1.5\t24\n1\t\t24\n2\t2.5\t\n")
-    np.testing.assert_array_equal(values, [(0, 1.5, 24), (1, np.nan, 24), (2, 2.5, np.nan)])
 
 
 def test_a_point_is_none_where_commas_are_decimal() -> None:
