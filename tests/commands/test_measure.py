@@ -102,6 +102,7 @@ def test_typical_temperature_is_the_data_sheets_curve_and_said_in_the_file(tmp_p
     measure("--typical-temperature", cwd=tmp_path, code=0)
     calibration = read_calibration(tmp_path / "S-1.yaml")
     thermal, reference = calibration.coefficients.thermal, calibration.coefficients.thermal.reference
+    assert reference == round(np.mean([one.temperature for one in calibration.positions]), 3)
     for t in (-20.0, 0.0, 40.0, 60.0):
         dt = t - reference
         drift = sum(k * dt**power for power, k in enumerate(thermal.drift[0], start=1))

@@ -44,13 +44,6 @@ def test_a_good_calibration_passes_and_another_part_fails(folder: Path) -> None:
     assert verdict["worst"]["error"] > 0.5
 
 
-def test_a_procedure_that_sets_no_positions_verifies_nothing(folder: Path) -> None:
-    command = ("verify", "S-1.yaml", "--address", "sim:?seed=1", "--operator", "sim", "--journal", "none.jsonl")
-    for procedure in ("level", "mounting", "ramp", "free", "rotation"):
-        assert tiltcal(*command, "--procedure", procedure, cwd=folder).returncode == 2, procedure
-        assert not (folder / "none.jsonl").exists()
-
-
 BY_COLUMNS = """\
 tiltcal: 1
 kind: tilt

@@ -161,13 +161,13 @@ def _errors_of_bench(
 def _level_fit(change: Uncertain, offset: Array, temperature: float | None, bench: BenchUncertainty) -> LevelFit:
     """Return by how much the offsets have changed, for the file."""
     steps = changes(change, offset - change.value)
-    by_channel = {step.name.removeprefix("offset."): step for step in steps}
-    known = {channel: step for channel, step in by_channel.items() if step.u}
+    by_channel = {step.name.removeprefix("offset."): (step, step.u or 0.0) for step in steps}
+    known = {channel: pair for channel, pair in by_channel.items() if pair[1]}
     lean = [angle for angle in (bench.jig, bench.table_lean) if angle is not None]
     return LevelFit(
-        change={channel: round_to(step.difference, step.u or 0.0) for channel, step in by_channel.items()},
-        change_uncertainty={channel: significant(step.u or 0.0, stated.DIGITS) for channel, step in known.items()},
-        change_coverage_factor={channel: round(step.threshold(COVERAGE), 3) for channel, step in known.items()},
+        change={channel: round_to(step.difference, u) for channel, (step, u) in by_channel.items()},
+        change_uncertainty={channel: significant(u, stated.DIGITS) for channel, (_, u) in known.items()},
+        change_coverage_factor={channel: round(step.threshold(COVERAGE), 3) for channel, (step, _) in known.items()},
         verdict=str(judge(steps, "" if lean else NO_LEVEL)),
         temperature=None if temperature is None else round(temperature, 3),
         jig_degrees=significant(hypot(*lean), stated.DIGITS) if lean else None,

@@ -119,7 +119,7 @@ def verify(
             # The direction is judged, whose error does not grow where one axis nears the vertical.
             apart = np.linalg.norm(np.cross(up, result.gravity[0]))
             errors = [degrees(float(np.arctan2(apart, np.dot(up, result.gravity[0]))))]
-        noise = [0.0]
+        noise = list[float]()
         for channel in set(coefficients.channels) & set(coefficients.axes):
             angles = coefficients.angles
             slope = 1.0 if whole or angles else slopes[channel]

@@ -81,7 +81,7 @@ def tilt_page(
             (sentences.dated(name, before.provenance), *tables.change_table(before, calibration))
             for before, name in earlier
         ],
-        logs=[_log(log, number) for number, log in enumerate(logs, start=1)],
+        logs=[_log(log, number) for number, log in enumerate(logs)],
     )
 
 
@@ -114,7 +114,7 @@ def pair_page(calibration: PairRecord, source: FileRecord, spectra: Sequence[tup
             }
             for one in calibration.matchings
         ],
-        logs=[(name, spectra_figure(name, number, drawing)) for number, (name, drawing) in enumerate(spectra, start=1)],
+        logs=[(name, spectra_figure(name, number, drawing)) for number, (name, drawing) in enumerate(spectra)],
     )
 
 
@@ -138,7 +138,7 @@ def fleet_page(history: FleetHistory) -> str:
                 "coefficients": tables.distribution_table(model),
                 "figures": [distribution_figure(model, number), change_figure(model, number)],
             }
-            for number, model in enumerate(history.models, start=1)
+            for number, model in enumerate(history.models)
         ],
     )
 

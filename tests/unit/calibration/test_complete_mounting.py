@@ -101,4 +101,8 @@ def test_the_probability_is_that_of_chi_square_with_the_base_among_its_causes() 
     assert exact.p_value < 1e-3
     stated = mount(replace(base, uncertainty=Uncertainty({"offset.x": off, "offset.y": off})), read, jig=0.002)
     assert stated.fit.mounting.chi_square == exact.chi_square
-    assert stated.fit.mounting.p_value > 0.5
+    # A direction is uncertain by the offsets over 819, and by z, which follows x and y; half counts, of two angles.
+    of_base = [sin(radians(0.1)) ** 2 * (2.0 + (x * x + y * y) / (z * z)) / 2.0 for x, y, z in LEVEL_X_Y]
+    off = np.radians(list(stated.fit.mounting.residuals_degrees.values()))
+    chi_square = np.sum(off**2 / (radians(0.002) ** 2 + np.array(of_base)))
+    assert stated.fit.mounting.p_value == pytest.approx(scipy.stats.chi2.sf(chi_square, 3), rel=0.01)

@@ -112,6 +112,9 @@ def test_a_base_with_a_nonlinearity_has_it_in_the_offset_and_its_uncertainty(rec
     found = fitted(minutes, segments=HUNG)
     gain = np.hypot((-0.00022 * 24.0 + 0.0022) / 100.0, 0.014 / 100.0)
     assert found.uncertainty["temperature.offset.y.1"] == pytest.approx(819.0 * gain, rel=0.02)
+    stated = found.uncertainty.covariance
+    offset, own = (stated.parameters.index(name) for name in ("offset.y", "sensitivity.y.y"))
+    assert stated.matrix[offset][own] == pytest.approx(-stated.matrix[own][own], rel=0.01)
     leaning = fitted(minutes, segments=HUNG, jig=0.2, table_lean=0.1)
     assert leaning.uncertainty["offset.x"] == pytest.approx(819.0 * np.radians(np.hypot(0.2, 0.1)), rel=0.01)
     assert found.offset["y"] == pytest.approx(1020.0 - 819.0, abs=0.5)
@@ -125,9 +128,15 @@ def test_a_base_with_a_covariance_has_it_in_the_offset(record, base):
         "    parameters: [sensitivity.x.y, sensitivity.y.y]\n    matrix: [[4.0, 2.0], [2.0, 4.0]]\n"
     )
     minutes = {name: values[::15] for name, values in record.items()}
-    found = fitted(minutes | {"y": minutes["y"] + 819.0}, base=base, segments=HUNG, thermometer=0.0)
+    hung = minutes | {"y": minutes["y"] + 819.0}
+    found = fitted(hung, base=base, segments=HUNG, thermometer=0.0)
     assert found.uncertainty["offset.y"] == pytest.approx(2.0, rel=0.02)
     assert found.uncertainty["offset.x"] == pytest.approx(2.0, rel=0.02)
+    # A sensitivity that changes by 0.1 %/°C, known to 0.05 %/°C, is in the drift of what hangs.
+    warm = "  temperature:\n    reference: 24\n    sensitivity: {x: [0.001], y: [0.001]}\n"
+    base.write_text(f"{BASE}{warm}uncertainty:\n  temperature: {{sensitivity: {{x: [5.0e-4], y: [5.0e-4]}}}}\n")
+    drift = fitted(hung, base=base, segments=HUNG, thermometer=0.0).uncertainty["temperature.offset.y.1"]
+    assert drift == pytest.approx(819.0 * np.hypot(1e-3, 5e-4), rel=0.01)
 
 
 def test_a_ramp_off_level_keeps_the_offset_of_its_base_unless_its_attitude_is_stated(record, base):

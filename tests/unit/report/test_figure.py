@@ -18,6 +18,7 @@ from support.html_page import drawings
 from tiltcal.calibration.season import CalibrationFolder, fleet_history
 from tiltcal.calibration.tilt_uncertainty import tilt_uncertainty
 from tiltcal.core.column_statistics import ColumnStatistics
+from tiltcal.core.flags import FLAGS, REASONS
 from tiltcal.core.model import Limits
 from tiltcal.core.noise import NoiseScale, characterise
 from tiltcal.files.calibration import CalibrationRecord, read_calibration
@@ -32,7 +33,7 @@ from tiltcal.report.record_figures import (
     draw_noise,
     log_figure,
 )
-from tiltcal.report.tables import distribution_table
+from tiltcal.report.tables import Column, Table, angle_table, distribution_table, flag_table
 
 INK, GREY, BLUE, RED, GREEN = "#000000", "#8a8a8a", "#1f6f8b", "#c0504d", "#4f6228"
 LOOKS = {"x": (BLUE, "o", "-"), "y": (RED, "s", "--"), "z": (GREEN, "^", ":")}
@@ -226,6 +227,14 @@ def test_what_a_log_holds() -> None:
     overview.add(time, angles, np.array([1, 3, 9, 1, 1]), np.array([0, 8, 32, 0, 0]))
     shown, panels = pictured(lambda: log_figure(ReportedLog("a.csv", "", overview, timed=True), 1), "log1")
     (first, histogram, second, _, strip, _) = panels
+    least_mean_most = [("Tilt of x", "−3.250", "0.062", "2.000"), ("Roll", "5.000", "", "5.300")]
+    assert shown_cells(angle_table(overview)) == least_mean_most
+    counts = [("Flag", FLAGS, {1: 3, 3: 1, 9: 1}), ("Reason", REASONS, {8: 1, 32: 1})]
+    assert shown_cells(flag_table(overview)) == [
+        (f"{kind} {code}", said[code], str(count), f"{20 * count}.000")
+        for kind, said, found in counts
+        for code, count in found.items()
+    ]
     minutes = np.array([0.0, 1.5, 3.0, 4.5, 6.0])
     assert "5 rows; tilt of x from −3.250° to 2.000°; roll from 5.000° to 5.300°." in shown.svg
     assert (shown.svg.count("Tilt over time in a.csv"), panels[0].figure.get_size_inches()[1]) == (1, 0.55 + 2.3)
@@ -264,6 +273,19 @@ def test_the_clock_of_a_log(times: list[float], timed: bool, said: str, last: fl
     _, panels = pictured(lambda: log_figure(ReportedLog("a.csv", "", overview, timed), 2), "log2")
     assert words(panels[2])[0] == said
     assert drawn(panels[0])[0][0][-1] == last
+
+
+def shown_cells(table: Table) -> list[tuple[str, ...]]:
+    """The rows of a table, as they are read."""
+    return [tuple(re.sub("<.*?>", "", cell) for cell, _ in row) for row in table.rows]
+
+
+def test_a_share_of_rows_is_never_rounded_to_none_or_all_and_a_short_table_is_kept_on_one_page() -> None:
+    overview = ColumnStatistics(("tilt_x",))
+    flags = np.append(np.ones(300_000, int), 3)
+    overview.add(np.arange(300_001.0), np.zeros((300_001, 1)), flags, np.zeros(300_001, int))
+    assert [row[2:] for row in shown_cells(flag_table(overview))] == [("300\u202f000", "99.999"), ("1", "0.001")]
+    assert [Table([Column("", ["x"] * rows)], style="wide").classes for rows in (16, 17)] == ["wide keep", "wide"]
 
 
 def test_many_rows_are_a_band() -> None:
@@ -377,8 +399,7 @@ def test_a_fleet(tmp_path: Path) -> None:
     assert hollow.get_markersize() > 1.5 * gradient.lines[2].get_markersize()
     assert [one.get_text() for one in gradient.texts] == ["U-07"]
     assert gradient.get_ylim() == (0.6, -0.6)
-    cells = [[re.sub("<.*?>", "", cell) for cell in column.cells] for column in distribution_table(fleet).columns]
-    table = {row[0]: row[2:] for row in zip(*cells, strict=True)}
+    table = {row[0]: row[2:] for row in shown_cells(distribution_table(fleet))}
     numbers = (f"{quarters[1]:.2f}", f"{spread:.2f}", f"{values.min():.2f}", "9.00")
     assert table["Drift of offset x, ΔT"] == (*numbers, "count/°C", "U-07")
     alike = f"{own['sensitivity']['x']['x']:.4g}"  # in the whole fleet

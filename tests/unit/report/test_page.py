@@ -246,6 +246,7 @@ def test_what_a_fit_says_is_there_in_whole_sentences() -> None:
         "A level position has renewed the offset: it changed in x by 1.26 ± 0.11 count and in y by −0.40 ± 0.20 count; "
         "changed.",
     ]
+    assert [three_digits(some) for some in ([], [0.0], [0.0888, -0.2], [4321.0], [1e-15])] == [2, 2, 3, 0, 12]
     assert sentences.remarks(record) == ["one", "two", "assumed: sensitivity: nominal of the model"]
     for position, said in (
         (PositionSet(tilt={"x": 45.0, "y": -2.5}, heading=90.0, stage=-45.0, temperature=-5.5), TURNED),
