@@ -48,6 +48,13 @@ def of_one(name: str, up: Array) -> SensorObservations:
     return SensorObservations(Design(("x",), ("x",)), [Observation(name, up, np.zeros(1), np.ones(1))])
 
 
+def asked(*met: tuple[float, float]) -> None:
+    """Positions in which x has some sine and the sensor some temperature."""
+    ups = [np.array([x, 0.0, np.sqrt(1.0 - x * x)]) for x, _ in met]
+    seen = [Observation(f"{k}", up, np.full(1, k), np.ones(1), met[k][1]) for k, up in enumerate(ups)]
+    estimate(seen, Design(("x",), ("x",), 1, jig=0.0))
+
+
 def doubted(name: str) -> CompensationWithUncertainty:
     return CompensationWithUncertainty(Compensation(of((1,))), of((1,)), Uncertain.errors((name,), np.eye(1)))
 
@@ -109,6 +116,8 @@ REFUSED: dict[type[Exception], list[tuple[Callable[[], object], str]]] = {
         (lambda: estimate([seen("a"), seen("a")], Design(("x",), ("x",))), "position a is there twice"),
         (lambda: estimate([seen("a", 1.0), seen("b")], Design(("x",), (), 1)), "position b: a temperature"),
         (lambda: estimate_jointly([of_one("a", UP[0]), of_one("a", UP[1])]), "a: two sensors of the fixture"),
+        (lambda: asked((0.6, 20), (0.6, 40)), r"separate offset.x and sensitivity.x.x: add the position level \("),
+        (lambda: asked((0.6, 20), (-0.6, 20)), r"gravity \[-0.6, 0, 0.8\] at another, lower temperature$"),
         # A circle lies on many ellipsoids, and so does one attitude.
         (lambda: fit_free(CIRCLE, 0 * CIRCLE), "20 free positions do not determine .*: add positions"),
         (lambda: fit_free(0 * CIRCLE, 0 * CIRCLE), "the readings lie on no ellipsoid: add positions"),

@@ -6,8 +6,6 @@ import scipy
 
 from tiltcal.core.uncertain import Uncertain, weighted_sum
 
-RNG = np.random.default_rng(3)
-
 
 def errors(covariance: list[list[float]] | np.ndarray, dof: float = np.inf) -> Uncertain:
     matrix = np.asarray(covariance, dtype=float)

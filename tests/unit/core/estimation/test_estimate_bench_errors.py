@@ -4,7 +4,7 @@ Gravity is turned by scipy's rotations, correlated noise is filtered by scipy, r
 """
 
 from dataclasses import replace
-from math import cos, radians, sqrt
+from math import cos, radians, sin, sqrt
 
 import numpy as np
 import pytest
@@ -69,6 +69,32 @@ def test_plan_counts_a_lean_and_says_what_a_heading_brings() -> None:
     name, _, share = plan.worth_adding[0]
     assert name == "p0 with the fixture turned by 180°"
     assert share < 0.6
+
+
+@pytest.mark.parametrize("thermal", [False, True])
+def test_what_is_worth_adding_makes_a_coefficient_better_known(thermal: bool) -> None:
+    """Least squares of numpy with each position that may help: below 0.8 of the uncertainty, the best first."""
+    design = Design(("x",), ("x",), drift=int(thermal), reference=20.0, jig=0.0)
+    met = [(sin(radians(x)), t) for x, t in ((20.0, 20.0), (-20.0, 20.0), (15.0, 30.0), (-15.0, 30.0))]
+    half = sqrt(0.5)
+    more = {"+x straight up": 1.0, "+x straight down": -1.0, "x at +45°": half, "x at -45°": -half}
+    candidates = {name: (x, 20.0) for name, x in more.items()}
+    candidates |= {"level at 50 °C": (0.0, 50.0), "level at 0 °C": (0.0, 0.0)} if thermal else {}
+
+    def u(points: list[tuple[float, float]]) -> Array:
+        x, t = np.transpose(points)
+        columns = np.stack([np.ones(len(x)), x, t - 20.0][: 2 + thermal], axis=1)
+        return np.asarray(0.01 * np.sqrt(np.diag(np.linalg.inv(columns.T @ columns))))
+
+    seen = [
+        Observation(f"p{k}", np.array([x, 0.0, sqrt(1.0 - x * x)]), np.zeros(1), np.array([0.01]), t)
+        for k, (x, t) in enumerate(met)
+    ]
+    plan, names = predict_uncertainty(design, seen, sensitivity=1.0), design.names
+    shares = {name: u([*met, one]) / u(met) for name, one in candidates.items()}
+    best = [(name, names[np.argmin(each.round(6))], round(float(each.min()), 3)) for name, each in shares.items()]
+    assert plan.worth_adding == tuple(sorted((one for one in best if one[2] < 0.8), key=lambda one: one[2]))
+    assert (plan.uncertain.u, plan.dof) == (pytest.approx(u(met)), 2 - thermal)
 
 
 TEMPERATURES = (0.0, 20.0, 40.0, 20.5, 0.5)

@@ -5,23 +5,16 @@ from math import cos, radians, sin, sqrt
 import numpy as np
 import pytest
 import scipy
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from support.simulated_bench import Plan, design, fixture, measured, part, plan_of, sweep, two_temperatures
 
 from tiltcal.core.estimation.equations import Equations
-from tiltcal.core.estimation.estimate import Estimate, estimate, estimate_jointly
+from tiltcal.core.estimation.estimate import estimate, estimate_jointly
 from tiltcal.core.estimation.positions import Design, Observation, Prior, SensorObservations
 from tiltcal.core.estimation.solve import budgets, solved_at, start_as_set
-from tiltcal.core.model import vector_of
 from tiltcal.errors import EstimateError
 
 LEVEL = np.array([0.0, 0.0, 1.0])
-
-
-def coefficients(found: Estimate) -> NDArray[np.float64]:
-    """The estimate in the order of the truth: channel by channel, offset, sensitivities, drift."""
-    return vector_of(found.coefficients, found.uncertain.names)
 
 
 class TestBudgetByHand:
@@ -113,7 +106,7 @@ def test_the_truth_is_in_95_percent_of_the_intervals(plan: Plan, sensors: int, s
         observations = measured(rng, plan, parts, known_noise=False)
         found = estimate_jointly(fixture(observations, design(plan, jig=plan.jig if stated else None)))
         half = np.array([one.uncertain.factors * one.uncertain.u for one in found])
-        off = np.array([coefficients(one) for one in found]) - [one.truth for one in parts]
+        off = np.array([one.coefficients.vectors.ravel() for one in found]) - [one.truth for one in parts]
         for one in found:
             np.testing.assert_allclose(sum(one.uncertain.sources.values()), one.uncertain.u**2, rtol=1e-7)
         shares.append(100.0 * np.mean(np.abs(off) <= half))

@@ -270,7 +270,6 @@ def test_a_record_that_starts_on_the_way_is_refused():
         (made(10.0, lag=120.0, noise=0.1), r"a leg lasts 239 s.*change the temperature at 2\.5 °C/min or slower"),
         (made(0.25, legs=2, wander=3.0, seed=2), "does not separate it from drift"),
     ],
-    ids=["too fast", "wanders"],
 )
 def test_a_record_that_does_not_separate_lag_and_drift_is_refused(record, message):
     with pytest.raises(EstimateError, match=message):
