@@ -138,61 +138,7 @@ class RegisterPart:
         )
 
 
-class RegisterLink:
-    """The registers of a part on its link."""
-
-    part: RegisterPart
-
-    def __init__(self, part: RegisterPart, link: Link, clock: Clock) -> None:
-        self.part, self.link, self.clock = part, link, clock
-
-    def registers(self, first: int, count: int) -> dict[int, int]:
-        """Return the registers of one transaction.
-
-        BusError: the transaction failed, or its answer has another length.
-        """
-        command = self._command(first, self.part.frame.reading)
-        command |= self.part.frame.several.get(self.link.letter, 0) if count > 1 else 0
-        if self.link.letter == "i":
-            data = require_length(self.link.exchange(bytes([command]), count), count)
-        else:
-            frame = bytes([command, *bytes(count)])
-            data = require_length(self.link.exchange(frame), len(frame))[1:]
-        return dict(zip(range(first, first + self.part.frame.count * count, self.part.frame.count), data, strict=True))
-
-    def register(self, register: int) -> int:
-        """Return one register."""
-        return self.registers(register, 1)[register]
-
-    def bursts(self) -> dict[int, int]:
-        """Return the registers of a sample; a line that is stuck is a BusError."""
-        registers: dict[int, int] = {}
-        for first, count in self.part.bursts:
-            registers |= self.registers(first, count)
-        check_data_line(bytes(registers.values()))
-        return registers
-
-    def write(self, write: Write) -> None:
-        """Set a register."""
-        self.link.exchange(bytes([self._command(write.register, self.part.frame.writing), write.value]))
-        self.clock.sleep(write.seconds)
-
-    def _command(self, register: int, access: int) -> int:
-        """Return the first byte of a transaction."""
-        plain = self.link.letter == "i" and not self.part.frame.by_command
-        return register if plain else register << self.part.frame.shift | access
-
-    def unlike(self, writes: Iterable[Write]) -> str:
-        """Return the registers with another content, as text."""
-        held = [(write, self.register(write.register)) for write in writes if write.kept]
-        return ", ".join(
-            f"register 0x{write.register:02X} holds 0x{content:02X}, not 0x{write.value:02X}"
-            for write, content in held
-            if content != write.value
-        )
-
-
-class RegisterSensor(RegisterLink, Sensor):
+class RegisterSensor(Sensor):
     """The driver of a part.
 
     The part is set up before the first sample and again after any error. After a reset it measures nothing until it is
@@ -201,8 +147,10 @@ class RegisterSensor(RegisterLink, Sensor):
     remembered: what the functions of the row keep of the part from one set-up to the next.
     """
 
+    part: RegisterPart
+
     def __init__(self, part: RegisterPart, link: Link, clock: Clock) -> None:
-        super().__init__(part, link, clock)
+        self.part, self.link, self.clock = part, link, clock
         self._ready = False
         self._writes = tuple(chain(*part.writes))
         self.remembered: Any = None
@@ -297,6 +245,51 @@ class RegisterSensor(RegisterLink, Sensor):
         return DeviceFault(
             f"no sample came for {PERIODS * (1.0 / self.part.sampling.rate):.3g} s: the {self.part.short} does not "
             "measure; switch its supply off and on"
+        )
+
+    def registers(self, first: int, count: int) -> dict[int, int]:
+        """Return the registers of one transaction.
+
+        BusError: the transaction failed, or its answer has another length.
+        """
+        command = self._command(first, self.part.frame.reading)
+        command |= self.part.frame.several.get(self.link.letter, 0) if count > 1 else 0
+        if self.link.letter == "i":
+            data = require_length(self.link.exchange(bytes([command]), count), count)
+        else:
+            frame = bytes([command, *bytes(count)])
+            data = require_length(self.link.exchange(frame), len(frame))[1:]
+        return dict(zip(range(first, first + self.part.frame.count * count, self.part.frame.count), data, strict=True))
+
+    def register(self, register: int) -> int:
+        """Return one register."""
+        return self.registers(register, 1)[register]
+
+    def bursts(self) -> dict[int, int]:
+        """Return the registers of a sample; a line that is stuck is a BusError."""
+        registers: dict[int, int] = {}
+        for first, count in self.part.bursts:
+            registers |= self.registers(first, count)
+        check_data_line(bytes(registers.values()))
+        return registers
+
+    def write(self, write: Write) -> None:
+        """Set a register."""
+        self.link.exchange(bytes([self._command(write.register, self.part.frame.writing), write.value]))
+        self.clock.sleep(write.seconds)
+
+    def _command(self, register: int, access: int) -> int:
+        """Return the first byte of a transaction."""
+        plain = self.link.letter == "i" and not self.part.frame.by_command
+        return register if plain else register << self.part.frame.shift | access
+
+    def unlike(self, writes: Iterable[Write]) -> str:
+        """Return the registers with another content, as text."""
+        held = [(write, self.register(write.register)) for write in writes if write.kept]
+        return ", ".join(
+            f"register 0x{write.register:02X} holds 0x{content:02X}, not 0x{write.value:02X}"
+            for write, content in held
+            if content != write.value
         )
 
 

@@ -7,8 +7,6 @@ import pytest
 from support import FIXTURES
 from support.command import measure, tiltcal
 
-from tiltcal.bench.live import LiveTilt
-
 
 @pytest.fixture(scope="module")
 def calibrated(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -49,5 +47,3 @@ def test_address_and_range_are_those_of_the_file_and_another_range_is_refused(tm
     recorded = (tmp_path / "I-2.yaml").read_text(encoding="utf-8").replace('  bench: {address: "sim:range=4g"}\n', "")
     (tmp_path / "fitted.yaml").write_text(recorded, encoding="utf-8")
     assert "state --address" in tiltcal("live", "fitted.yaml", cwd=tmp_path, code=2).stderr
-    near = LiveTilt({"tilt_x": 1.0, "pitch": 1.0, "roll": -2.0}, {}, 20.0, 3, 1).within(60)
-    assert near.strip() == "suspect   pitch +1.00°   roll -2.00°   tilt x +1.00°"

@@ -40,7 +40,8 @@ def as_calibrated(calibration: CalibrationRecord, address: str) -> str:
     absent = [
         f"{name}={filed.options[name]}" for name in model.options if name in filed.options.keys() - stated.options
     ]
-    return address + ("&" if "?" in address else "?" if not stated.simulated else "") * bool(absent) + "&".join(absent)
+    joint = "&" if stated.options else "" if address.endswith((":", "?")) else "?"
+    return f"{address}{joint if absent else ''}{'&'.join(absent)}"
 
 
 def require_as_calibrated(calibration: CalibrationRecord, device: BenchSensor | BenchDevice) -> None:
