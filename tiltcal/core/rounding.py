@@ -69,7 +69,7 @@ def plus_minus(value: float, uncertainty: float | None, *, signed: bool = False)
 
 def round_to_place(value: float, place: int) -> str:
     """Return a number in plain decimals, rounded to this power of ten; without a minus before zeros."""
-    shown = f"{Decimal(value):.{-place}f}" if place < 0 else f"{round(Decimal(value), -place):.0f}"
+    shown = f"{Decimal(value).quantize(Decimal((0, (1,), place)), context=_ANY):f}"
     return shown if any(digit in shown for digit in "123456789") else shown.lstrip("-")
 
 

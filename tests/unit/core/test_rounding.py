@@ -47,6 +47,7 @@ def test_a_value_has_the_decimals_of_its_uncertainty() -> None:
         (2.1e-6, 3.44e-7, "(2.10 ± 0.34)e-6"),
         (0.0, 3.44e-7, "(0.0 ± 3.4)e-7"),
         (0.3333333333, 0.0, "0.333333 ± 0"),
+        (2.0**120, 34.0, "1329227995784915872903807060280344576 ± 34"),
     ):
         assert plus_minus(value, uncertainty) == shown
     assert plus_minus(0.0012, 0.00042, signed=True) == "+0.00120 ± 0.00042"
