@@ -370,7 +370,7 @@ class _LogInterval:
         begin = max(previous, start - (SOAKS - 1) * (end - start))
         if time is not None and np.isfinite(time[end - 1]):
             early = np.flatnonzero(~(time[:end] >= time[end - 1] - soak))
-            begin = max(int(early[-1]) + 1 if len(early) else 0, begun)
+            begin = max([begun, *(early[-1:] + 1).tolist()])
         before = self.record.by_role[TEMPERATURE][min(begin, start) : end]
         return own if begin >= start else max(own, rise(before[np.isfinite(before)]), key=abs)
 

@@ -270,6 +270,12 @@ def test_of_different_mountings_the_nearer_in_time_is_taken(tmp_path: Path) -> N
     frame = {"time": seconds([30.0, 79.0, 81.0]), "x": np.full(3, 1100.0), "y": np.full(3, 1100.0)}
     found = tiltcal.open_calibrations(kept(tmp_path / "three", *records)).apply(frame)["g_y"]
     assert found == pytest.approx(np.array([95.0, 90.0, -100.0]) / SCALE)
+    said, on_edge = list[str](), 1000.0 - SCALE * np.cos(np.radians(20.0))
+    frame = {"time": seconds([10.0, 50.0, 120.0]), "x": np.full(3, 1000.0), "y": np.full(3, on_edge)}
+    (tmp_path / "edge").mkdir()
+    edge = tiltcal.open_calibrations(kept(tmp_path / "edge", mounted(first, 90.0), mounted(last, 90.0)))
+    assert edge.apply(frame, uncertainty=True, stability=1.0, say=said.append)["flag"].tolist() == [4, 4, 4]
+    assert said[-1].startswith("note: in 3 rows the sensor is more than 45° from level, mounted on edge: ")
     (tmp_path / "other").mkdir()
     turned = replace(last, coefficients=replace(last.coefficients, sensitivity=-SCALE * np.eye(2)))
     with pytest.raises(UsageError, match=r"0\.yaml and S-1-1\.yaml: the sensitivity of x differs"):

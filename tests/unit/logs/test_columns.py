@@ -60,6 +60,10 @@ def test_a_linear_acceleration_is_taken_where_it_is_alone() -> None:
     for names, x in ((["linear_acceleration.x"], 0), (["linear_acc_x", "acc_x"], 1), (["acc_x", "user_acc_x"], 0)):
         assert columns_of_logs.column_names(names, "x", {}) == {"x": names[x]}
     assert columns_of_logs.column_names(["acc_x", "accel x"], "x", {}) == {}
+    for name, bare, unit in (("a x (m/s^2)", "a x", "m/s^2"), ("x [V]", "x", "V"), ("x (left)", "x (left)", None)):
+        assert split_unit(name) == (bare, unit)
+        for named in (name, bare, "2"):
+            assert columns_of_logs.column_names(["time", name], "x", {"x": named}) == {"x": name}
 
 
 @pytest.mark.parametrize(("unit", "step"), [("ms", 10), ("us", 1e4), ("ns", 1e7), ("min", 1 / 6000), ("h", 1 / 3.6e5)])

@@ -110,6 +110,7 @@ def test_a_two_axis_sensor_of_no_known_model(kind: str, tmp_path: Path) -> None:
             fit("cross-axis", data, **SENSOR, segments=segments)
     found = fit("cross-axis", data, **SENSOR, **options, jig=0.01, say=said.append)
     assert found.sensor.channels == ("x", "y")
+    assert found.sensor.columns == {"log": {"x": "a", "y": "b"}, "headerless": {"x": "1", "y": "2"}}.get(kind, {})
     assert said == ["there is no z: the sensor has x and y"]
     for row, channel in enumerate("xy"):
         for column, axis in enumerate("xyz"):

@@ -44,5 +44,5 @@ def refuse_binary(head: bytes, file: str) -> None:
             raise InputError(f"this is {what}, no text: {how}", file=file)
     some = head[:4096]
     control = sum(some.count(code) for code in range(1, 32) if code not in b"\t\n\r\f\x1a\x1b")
-    if len(some) >= 64 and control > _TEXT * len(some) and some.count(0):
+    if control > _TEXT * len(some) and some.count(0):
         raise InputError("this is no text: export the log as CSV from the program that made it", file=file)

@@ -18,7 +18,6 @@ from tiltcal.core.model import Array
 from tiltcal.dialect import Dialect
 from tiltcal.errors import InputError
 from tiltcal.log_head import dialect_of
-from tiltcal.logs.columns import locate_columns
 from tiltcal.logs.formats import csv_rows
 from tiltcal.logs.formats.csv import CsvReader
 from tiltcal.logs.formats.csv_rows import RowGrammar
@@ -349,15 +348,6 @@ def test_a_point_is_none_where_commas_are_decimal() -> None:
     for cell in ("1.5", "1.234,5", "1,", "1,5,2"):
         with pytest.raises(InputError, match=f"log.txt:3: column 'x': '{cell}' is no number"):
             table(f"time;x\n0,5;1,5\n1,5;{cell}\n".encode())
-
-
-def test_a_unit_may_stand_in_the_header() -> None:
-    names = {"Acceleration x (m/s^2)": "m/s^2", "x [V]": "V", "x (left)": None, "x": None, "(V)": None}
-    for name, unit in names.items():
-        log = CsvReader(LogSource(BytesIO(f"time,{name}\n0,1\n".encode()), "log.csv", "log.csv"))
-        assert log.unit(1) == unit, name
-        bare = name if unit is None else name.rpartition(" ")[0]
-        assert locate_columns(log, ("x",), {"x": bare}) == locate_columns(log, ("x",), {"x": name}) == {"x": 1}
 
 
 def test_rows_without_a_value_below_the_names_are_rows() -> None:
