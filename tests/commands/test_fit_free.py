@@ -47,9 +47,6 @@ def test_the_xsens_mti_as_published(tmp_path: Path) -> None:
     assert f"in {count} attitudes" in said
     assert found.provenance.segments.threshold > 0
     assert found.coefficients.mounting is None
-    assert found.derived.mounting.startswith("undetermined")
-    assert printed.count("mounting") == 1
-    assert "mounting undetermined: gravity alone does not show how the sensor sits" in printed
     assert [found.coefficients.sensitivity[place] for place in ((1, 0), (2, 0), (2, 1))] == [0.0, 0.0, 0.0]
     rows = ((one.position, *span) for one in found.positions for span in _spans(one.rows))
     lines = ["position,start,end", *(",".join(map(str, row)) for row in rows)]

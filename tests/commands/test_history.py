@@ -48,7 +48,6 @@ def test_dates_changes_and_outliers(folder: Path) -> None:
     """12 counts of 0.7 sqrt(2) standard uncertainty are a change; one file of noise alone leaves it undecided."""
     found = json.loads(tiltcal("history", folder, "--json").stdout)
     sensors = {one["serial"]: one for one in found["sensors"]}
-    assert len(sensors) == 20
     twice = sensors["U-0"]
     assert [one["date"] for one in twice["calibrations"]] == [f"2020-03-01{ENDED}Z", f"2021-01-01{ENDED}Z"]
     (change,) = twice["changes"]

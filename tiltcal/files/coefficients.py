@@ -189,7 +189,6 @@ TEMPERATURE = "temperature"
 
 MOUNTING = "mounting."
 TURNS = tuple(f"{TURN}{axis}" for axis in AXES)
-_SYMMETRY = 1e-9
 _POLYNOMIALS = ByAxis[Annotated[tuple[Size, ...], Meta(max_length=ORDER_LIMIT)]]
 _ROUNDED = 0.01  # an eigenvalue of the correlations below zero, or a difference, that is larger is no matter of digits
 
@@ -302,7 +301,7 @@ def _check_covariance(covariance: Covariance, place: Document, known: Sequence[s
         deviations = np.sqrt(np.abs(np.diag(matrix)))
         scales = np.where(deviations > 0.0, deviations, 1.0)
         least = np.linalg.eigvalsh(matrix / np.outer(scales, scales)).min(initial=0.0)
-        if least < -_ROUNDED or not np.allclose(matrix, matrix.T, rtol=_SYMMETRY, atol=0.0):
+        if least < -_ROUNDED or not np.array_equal(matrix, matrix.T):
             why = "it is not symmetric, or its variances and correlations contradict one another"
             raise place.error(f"this is no covariance: {why}; take it from the file that the calibration wrote", key)
 

@@ -20,7 +20,7 @@ def measured(value: float, uncertainty: float | None, digits: int = 6) -> str:
 
     Where it has none, it has this number of significant digits.
     """
-    if uncertainty is None or not (isfinite(uncertainty) and uncertainty > 0.0 and isfinite(value)):
+    if not uncertainty or not (isfinite(uncertainty) and isfinite(value)):
         return plain(value, digits)
     if Decimal(f"{uncertainty:.{LABORATORY - 1}e}").adjusted() - (LABORATORY - 1) >= -_MOST_DECIMALS:
         return signed(bracketed(value, uncertainty, LABORATORY))

@@ -30,6 +30,7 @@ def test_files_of_other_kinds_are_passed_over_and_damaged_ones_are_named(tmp_pat
     (tmp_path / "torn.yaml").write_text(MAVS[:400])
     (tmp_path / "torn-early.yaml").write_text(MAVS[:37])
     (tmp_path / "empty.yaml").touch()
+    (tmp_path / "gone.yaml").symlink_to("nowhere.yaml")
     (tmp_path / "random.yaml").write_bytes(bytes(range(256)))
     (tmp_path / "undated.yaml").write_text(
         MAVS[: MAVS.index("positions:")].replace("SIM-42", "S") + "provenance: {operator: me}\n"
@@ -39,6 +40,7 @@ def test_files_of_other_kinds_are_passed_over_and_damaged_ones_are_named(tmp_pat
     messages = sorted(str(problem) for problem in index.problems)
     assert [Path(message.partition(":")[0]).name for message in messages] == [
         "empty.yaml",
+        "gone.yaml",
         "random.yaml",
         "torn-early.yaml",
         "torn.yaml",

@@ -54,6 +54,8 @@ thermometer: {model: thermistor, address: "sim:", uncertainty: 0.1}
 sensors:
   - {serial: A-1, model: sca100t-d02, address: "sim:", axes: [-y, x]}
   - {serial: A-2, model: sca100t-d02, address: "sim:"}
+table: {kind: text, address: "serial:x", limits: {x: [-60, 60], y: [-30, 30]}, tolerance: 0.1, read: "?",
+  set: ["G0 X{x:.3f} Y{y:.3f}"], pattern: "X(?P<x>[-0-9.]+) Y(?P<y>[-0-9.]+)"}
 """
 DEVICE = """\
 tiltcal: 1

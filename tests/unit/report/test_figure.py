@@ -384,6 +384,7 @@ def test_a_fleet(tmp_path: Path) -> None:
     ]  # fmt: skip
     assert [one.get_text() for one in gradient.get_yticklabels()] == ["Drift of offset x, ΔT"]
     values = np.round(drift, 5)
+    assert gradient.figure.get_size_inches()[1] == pytest.approx(2 * 0.55 + (len(offsets.get_yticks()) + 1) * 0.32)
     bar, middle, dots, ring = drawn(gradient)
     quarters = np.percentile(values, [25, 50, 75])
     spread = (quarters[2] - quarters[0]) / 1.349

@@ -21,6 +21,7 @@ def test_two_digits_of_uncertainty() -> None:
         (1.2345678912, 1.2e-9, "1.2345678912(12)"),
         (24.0, 0.0, "24"),
         (-0.5, float("inf"), "−0.5"),
+        (float("inf"), 0.1, "inf"),
     ):
         assert measured(value, u) == text
 
