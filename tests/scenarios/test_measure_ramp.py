@@ -45,21 +45,21 @@ OPTIONS = ("--sensor", "sca100t-d02", "--address", "sim:twin=twin.yaml", "--seri
 
 
 def test_a_program_leads_through_the_turns_and_the_lag_is_that_of_the_twin(tmp_path: Path) -> None:
-    """It reports a temperature as well, that of when it was asked; to go back is refused, and loses no leg."""
+    """It reports a temperature as well, that of when it was asked; to go back or tilt is refused, and loses no leg."""
     (tmp_path / "twin.yaml").write_text(TWIN)
     (tmp_path / "quick.yaml").write_text(PROCEDURE)
-    answers = iter(["ready", "back", "redo", "ready", "back", "ready"])
+    said = ["ready", "back", "redo", {"answer": "ready", "tilt": {"x": 5}}, "ready", "back", "ready"]
+    answers = iter([one if isinstance(one, dict) else {"answer": one} for one in said])
     session = lead(
         *("measure", "quick.yaml", *OPTIONS, "--jig", "0"),
         cwd=tmp_path,
-        answer=lambda message: {"answer": next(answers), "temperature": 21.0} if "ask" in message else None,
+        answer=lambda message: {**next(answers), "temperature": 21.0} if "ask" in message else None,
     )
     assert session.exit_code == 0, session.errors
-    asked = [("down", 5), *[("up", 40)] * 3, *[("back", 5)] * 2]
+    asked = [("down", 5), *[("up", 40)] * 4, *[("back", 5)] * 2]
     assert [(ask["position"], ask["temperature"]) for ask in session.asks] == asked
-    assert [event["why"].partition(":")[0] for event in session.events("refused")] == 3 * [
-        "a ramp is one continuous record"
-    ]
+    record, attitude = "a ramp is one continuous record", "a ramp has one attitude"
+    assert [one["why"].partition(":")[0] for one in session.events("refused")] == [record, record, attitude, record]
     assert [event["position"] for event in session.events("accepted")] == ["down", "up", "back"]
     assert "a thermal lag of" in session.errors
     found = read_calibration(tmp_path / "S-1.yaml")

@@ -34,10 +34,6 @@ def _here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     Path("twin.yaml").write_text(TWIN)
 
 
-def twin_with(line: str) -> None:
-    Path("twin.yaml").write_text(TWIN + f"  {line}\n")
-
-
 def session(procedure: str = "plane", said: list[str] | None = None, **options: Any) -> Calibration:
     """A session in the working folder."""
     chosen = {"sensor": "sca100t-d02", "address": "sim:?twin=twin.yaml", "serial": "S-1", "output": "S-1.yaml"}
@@ -77,9 +73,6 @@ def word(value: int) -> bytes:
 def degrees(celsius: float) -> bytes:
     """An SCA100T's thermometer: T = (counts - 197) / -1.083."""
     return bytes([0, max(0, min(255, round(197 - 1.083 * celsius)))])
-
-
-# A channel that is dead, stuck, frozen or far off
 
 
 def test_a_channel_at_its_rail_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -124,7 +117,7 @@ def test_one_sample_of_a_hundred_that_is_far_off_is_taken_again_and_counted(monk
 @pytest.mark.parametrize(("kind", "why"), [("parity", "102"), ("unplugged", "unplugged")])
 def test_a_fault_that_passes_costs_a_redo(kind: str, why: str) -> None:
     """The first position takes about 3 s; the fault begins in the second."""
-    twin_with(f"faults: [{{kind: {kind}, start: 5.0, end: 5.2}}]")
+    Path("twin.yaml").write_text(f"{TWIN}  faults: [{{kind: {kind}, start: 5.0, end: 5.2}}]\n")
     said: list[str] = []
     found = session(said=said)
     refused = [line for line in said if "refused" in line]
@@ -159,9 +152,6 @@ def test_a_sensor_whose_offset_nobody_states_is_said_to_be_compared_with_itself_
     session(said=said, sensor="serial-columns", address="sim:columns=x,y&unit=V&sensitivity=2", samples=5)
     assert any(re.fullmatch(r"S-1: \d\d+ lines, 0 damaged", one) for one in said)
     assert any("S-1: no offset= is stated, so that positions are compared with each other" in one for one in said)
-
-
-# Temperatures
 
 
 PARTED = """\

@@ -13,6 +13,7 @@ from support.command import measure, tiltcal
 from support.warm_start import WarmStart
 
 from tiltcal import Calibration, read
+from tiltcal.drivers.virtual import Fixture
 from tiltcal.files.calibration import read_calibration
 from tiltcal.journal.lines import Journal
 from tiltcal.library.measure import measure as measure_here
@@ -164,8 +165,10 @@ def test_cut_anywhere(
             assert sum(taken) == sum(event.kind == "s" for event in Journal(tmp_path / JOURNAL)) // 3
 
 
-@pytest.mark.parametrize("typed", [0.0, 3.5])
-def test_a_temperature_that_was_reached_needs_no_new_soak(typed: float, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("typed", "warmed"), [(0.0, False), (3.5, False), (0.0, True)])
+def test_a_temperature_that_was_reached_needs_no_new_soak(
+    typed: float, warmed: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The chamber takes minutes to it; after the break the next position is taken in seconds, whatever was typed."""
     (tmp_path / "twin.yaml").write_text(TWIN + "  time_constant: 60.0\n")
     (tmp_path / "own.yaml").write_text(
@@ -184,13 +187,15 @@ def test_a_temperature_that_was_reached_needs_no_new_soak(typed: float, tmp_path
     lines = path.read_bytes().splitlines(keepends=True)
     cold = [place for place, line in enumerate(lines) if b'"p"' in line][1]
     path.write_bytes(b"".join(lines[: cold + 1]))
+    if warmed:  # the door of the chamber was opened: then it is soaked again, for ten windows where it stays warm
+        monkeypatch.setattr(Fixture, "temperature", lambda *_: 24.0)
     measure_here(resume=path, operator=operator)
     events = list(Journal(path))
     again = next(place for place, event in enumerate(events) if event.kind == "resumed")
     accepted_at = next(place for place, event in enumerate(events) if place > again and event.kind == "p")
-    assert sum(event.dt_ns for event in events[again:accepted_at]) < 20e9
+    assert (sum(event.dt_ns for event in events[again:accepted_at]) < 20e9) != warmed
     temperatures = [one.temperature for one in read_calibration(tmp_path / "S-1.yaml").positions]
-    assert temperatures[2] == pytest.approx(5.5 + typed, abs=0.0 if typed else 2.0 + 0.92)
+    assert warmed or temperatures[2] == pytest.approx(5.5 + typed, abs=0.0 if typed else 2.0 + 0.92)
 
 
 def test_options_beside_resume_change_nothing_and_a_torn_line_is_dropped(

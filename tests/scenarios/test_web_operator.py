@@ -18,7 +18,7 @@ from support.web_client import WebClient, session
 
 from tiltcal import measure
 from tiltcal.bench.guidance import CALIBRATED
-from tiltcal.bench.page_server import NO_TOKEN, STRANGE, host_and_port
+from tiltcal.bench.page_server import NO_TOKEN, STRANGE, PageServer, PageState, host_and_port
 from tiltcal.bench.page_token import PageToken
 from tiltcal.errors import Stopped, UsageError
 from tiltcal.files.calibration import read_calibration
@@ -124,6 +124,8 @@ def test_nothing_is_pressed_from_elsewhere(tmp_path: Path) -> None:
             statuses = list(tabs.map(lambda _: page.answer(question, "ready"), range(8)))
         assert sorted(statuses) == [204, *[409] * 7]
         last = {"id": page.asked("review")["id"], "answer": "quit"}
+        with pytest.raises(UsageError, match="Address already in use"):
+            PageServer(PageState(), "", f"0.0.0.0:{page.host.partition(':')[2]}")
         given = page.request("POST", "/token", {"token": page.token})[1]["Set-Cookie"]
         assert "HttpOnly; SameSite=Strict" in given
         assert page.request("POST", "/answer", last, **{**BEARER, "Authorization": f"Bearer {page.token}"})[0] == 204
