@@ -147,9 +147,9 @@ def characterise_readings(
     channels: Sequence[str],
     target: float | None,
     *,
-    rate: float | None = None,
-    columns: Mapping[str, str] | str = "",
-    skip_bad_rows: bool = False,
+    rate: float | None,
+    columns: Mapping[str, str] | str,
+    skip_bad_rows: bool,
     name: str | None = None,
     progress: Progress | None = None,
 ) -> SensorNoise:

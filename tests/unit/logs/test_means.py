@@ -12,12 +12,11 @@ import xarray
 from support.applied import PLAIN
 
 from tiltcal.dialect import Dialect
-from tiltcal.errors import InputError, UsageError
+from tiltcal.errors import InputError
 from tiltcal.library.calibration import Calibration, read
 from tiltcal.library.recorded import apply_log
 from tiltcal.logs.formats.csv import ColumnTypes
 from tiltcal.logs.formats.csv_rows import RowGrammar
-from tiltcal.logs.means import GroupSize
 
 CAL = (
     PLAIN
@@ -109,11 +108,6 @@ class TestGroups:
             assert found["heading"] == pytest.approx([mean])
             assert found["v_east"] == pytest.approx([np.sin(radians(mean))])
             assert (found["flag"].tolist(), found["reason"].tolist()) == ([flag], [reason])
-
-    def test_a_wrong_time_is_refused(self) -> None:
-        for every in ("10q", "0s", "-1", "", "1.2.3s"):
-            with pytest.raises(UsageError, match="every takes a time such as 10s"):
-                GroupSize.of(None, every)
 
 
 def test_blocks_of_a_file_and_a_frame_give_the_same(cal: Calibration) -> None:

@@ -42,6 +42,8 @@ def test_a_moment_may_leave_out_seconds_and_zone() -> None:
         "2026-05-01 12:00:00.25 UTC": 0.25,
         " 2026-05-01 12:00:01Z ": 1.0,
         "2026-05-01": -43200.0,
+        "2026-05-01 24:00": 43200.0,
+        "2026-05-01 12:59:60.5": 3600.5,
         **dict.fromkeys(("13-May-26 12:00", "13.05.2026 12:00", "13.5.26, 12.00"), 12 * 86400.0),
         "1.5.2026 1:30 PM": 5400.0,
         "1-may-2026 12:00:07.5 AM": -43192.5,
@@ -56,7 +58,7 @@ def test_a_moment_may_leave_out_seconds_and_zone() -> None:
 
 @pytest.mark.parametrize("block", [8, 1 << 20])
 def test_text_that_is_no_time_is_refused_with_its_line(block: int) -> None:
-    for text in ("01.13.2026 12:00:00", "2026-05-01T25:00", "25:00:00", "noon"):
+    for text in ("01.13.2026 12:00:00", "2026-05-01T25:00", "25:00:00", "12:60", "12:00:61", "noon"):
         with pytest.raises(InputError, match=f"^log.csv:6: column 'time' holds '{text}', neither seconds nor ISO 8601"):
             csv(f"time,x\n,1\n# more\n,1\n# more\n{text},2\n{text},3\n", block=block)
 

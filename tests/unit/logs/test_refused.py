@@ -46,6 +46,7 @@ REFUSED: dict[str, Callable[[], Any]] = {
     "declination needs magnetometer or velocity": applied(declination=1.0),
     "stability needs uncertainty": applied(stability=1.0),
     "every takes a time such as 10s, 500ms, 5min or 1h, not 10q": applied(every="10q"),
+    "every takes a time such as 10s, 500ms, 5min or 1h, not 0s": applied(every="0s"),
     "columns -a has a minus, and signs belong to the calibration: name a; the file that was fitted turns it": (
         lambda: require_no_signs("x=-a,y=b", ["a", "b"])
     ),

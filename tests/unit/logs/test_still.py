@@ -192,5 +192,8 @@ def test_the_positions_of_two_axes_are_told_by_the_extreme_readings() -> None:
         found = judge(means, np.full(means.shape, u))
         assert found.expanded == pytest.approx(stats.t.ppf(0.975, 4) * np.sqrt(squares * spread))
     assert judge(means[1:], np.full((5, 2), 0.5)).expanded == inf
+    aside = {"a": (0.4, 0.0, 0.9), "b": (0.7, 0.0, 0.7), "c": (0.4, 0.3, 0.87), "d": (0.7, 0.3, 0.65)}
+    means = 1000.0 + 800.0 * np.array([*aside.values()])[[1, 3, 0, 2], :2]
+    assert judge_of(aside, "xy")(means, np.full((4, 2), 0.5)).names == ("b", "d", "a", "c")
     assert judge_of({"level": (0, 0, 1), "x": (0.7, 0, 0.7), "y": (0, 0.7, 0.7)}, "xy") is None  # nothing is left over
     assert judge_of({**positions, "turned": (0.5, 0.05, 0.86)}, "xy") is None
