@@ -10,7 +10,6 @@ from math import nan, sqrt
 import numpy as np
 
 from tiltcal.bench.devices import SensorSet
-from tiltcal.core.detection import is_still
 from tiltcal.core.model import Array
 from tiltcal.core.samples import drift
 from tiltcal.drivers.bus.clock import Clock
@@ -183,7 +182,8 @@ def movement(
         limit = still * model.sensitivity
         for channel, values in [(channel, next(column)) for channel in model.channels]:
             change, uncertainty = drift(times, values)
-            if not is_still(change, uncertainty, limit, sigmas=sigmas, shown=shown, coverage=SHOWN_WITHIN):
+            most = limit - SHOWN_WITHIN * uncertainty if shown else max(limit, sigmas * uncertainty)
+            if not abs(change) <= most:
                 return f"{channel} drifts by {change:+.4g} {model.unit} in {span:.3g} s"
             off = values - np.add.reduce(values) / len(values)  # std() takes four times as long
             scatter = sqrt(float(off @ off) / len(values))
@@ -192,6 +192,6 @@ def movement(
         temperatures = next(column)
         if temperature_drift is not None and not np.isnan(temperatures).any():
             change, uncertainty = drift(times, temperatures)
-            if not is_still(change, uncertainty, temperature_drift, sigmas=sigmas):
+            if not abs(change) <= max(temperature_drift, sigmas * uncertainty):
                 return f"the temperature drifts by {change:+.2f} °C in {span:.3g} s"
     return None

@@ -101,16 +101,6 @@ def stuck_spans(columns: Sequence[Array], shortest: int = STUCK) -> list[Span]:
 # Still
 
 
-def is_still(
-    change: float, uncertainty: float, limit: float, *, sigmas: float, shown: bool = False, coverage: float = 2.0
-) -> bool:
-    """Return whether a change along a line through some samples is none: up to a limit, or by noise of so many sigmas.
-
-    ``shown`` asks that it is shown to be within the limit, by ``coverage`` standard uncertainties.
-    """
-    return abs(change) <= (limit - coverage * uncertainty if shown else max(limit, sigmas * uncertainty))
-
-
 def lost_rows(columns: Sequence[Array], stuck: Sequence[Span]) -> Mask:
     """Return the rows in which a value is missing or stuck, shape (n,)."""
     lost: Mask = np.logical_or.reduce([~np.isfinite(column) for column in columns])

@@ -74,8 +74,10 @@ def _both(first: Directions, second: Directions) -> Directions:
     one, other = Cone(first), Cone(second)
     here = tuple(v for v, there in zip(first, other.inside(np.array(first).reshape(-1, 3).T), strict=True) if there)
     both = tuple(v for v, there in zip(second, one.inside(np.array(second).reshape(-1, 3).T), strict=True) if there)
-    if here == first or both == second or one.side != other.side or not (len(one.faces) and len(other.faces)):
-        return here if here == first else both if both == second else (*here, *both)
+    if here == first or both == second:
+        return here if here == first else both
+    if one.side != other.side or not (len(one.faces) and len(other.faces)):
+        return (*here, *both)
     from scipy.spatial import HalfspaceIntersection
 
     planes = -np.vstack([one.faces, other.faces]) * (1.0, 1.0, one.side)

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, lru_cache
+from functools import cache, cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -198,9 +198,9 @@ class ChannelModel:
     name: str
     axes: tuple[str, ...]
     drift: int
-    gain: int = 0
-    nonlinearity: int = 0
-    angles: AngleReadings | None = None
+    gain: int
+    nonlinearity: int
+    angles: AngleReadings | None
 
     @property
     def coefficients(self) -> tuple[str, ...]:
@@ -330,7 +330,7 @@ def _places(coefficients: Coefficients, names: Sequence[str]) -> list[int]:
     return _places_among(coefficients.models, tuple(names))
 
 
-@lru_cache(64)
+@cache
 def _places_among(models: tuple[ChannelModel, ...], names: tuple[str, ...]) -> list[int]:
     known = {name: place for place, name in enumerate(name for model in models for name in model.coefficients)}
     for name in names:

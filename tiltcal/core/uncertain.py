@@ -203,7 +203,7 @@ def degrees_of_freedom(factors: Array) -> Array:
 
 def central_differences(function: Callable[[Array], Array], at: Array, steps: Array) -> Array:
     """Return the derivatives of a function by parameters, (m, k), 0 for those whose step, (k,), is 0."""
-    moves = np.diag(np.where(steps > 0.0, steps, 0.0))
+    moves = np.diag(steps)
     columns = [(function(at + move) - function(at - move)) / (2.0 * (move.sum() or 1.0)) for move in moves]
     return np.stack(columns, axis=1) if columns else np.zeros((len(function(at)), 0))
 

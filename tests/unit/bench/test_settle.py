@@ -121,6 +121,10 @@ def test_a_slow_drift_never_passes_as_still_while_it_is_judged_again_and_again(r
         ([0, 0.11, 0.22, 0.33, 0.44], [0] * 5, [5.5] * 5, {}, "x drifts by +0.44 count in 2 s"),
         ([0] * 5, [0, -1, -2, -3, -4], [5.5] * 5, {}, "y drifts by -4 count in 2 s"),
         ([0] * 5, [0, -1, -2, -3, -4], [5.5] * 5, {"still": 0.005}, None),
+        # Its standard uncertainty is 0.24 counts; two of these from 0.41 leave nothing, and of 0.08 they leave 0.25.
+        ([0, 0.3, 0, 0.3, 0.02], [0] * 5, [5.5] * 5, {}, None),
+        ([0, 0.3, 0, 0.3, 0.02], [0] * 5, [5.5] * 5, {"shown": True}, "x drifts by +0.016 count in 2 s"),
+        ([0, 0.1, 0, 0.1, 0.02], [0] * 5, [5.5] * 5, {"shown": True}, None),
         ([0, 100, 0, 100, 0], [0] * 5, [5.5] * 5, {}, None),
         ([0, 170, 0, 170, 0], [0] * 5, [5.5] * 5, {}, "x scatters by 83.28 count: hold it still"),
         ([0] * 5, [0] * 5, [5.5, 5.6, 5.7, 5.8, 5.9], {"temperature_drift": 0.3},

@@ -38,7 +38,9 @@ def test_what_is_covered_and_common() -> None:
     assert covered([X, Y, X]) == (tuple(round(c, 4) for c in X), tuple(round(c, 4) for c in Y))
     assert covered([X, Y, (0.0, 0.0, -1.0)]) == ALL
     assert common([ALL, (X, Y), ALL]) == (X, Y)
-    assert common([(X, Y), (Y,)]) == (Y,)
+    assert common([(X, Y), (Y,)]) == common([(Y,), (X, Y)]) == (Y,)
+    low, level = ((X[0], X[1], -X[2]), (Y[0], Y[1], -Y[2])), (0.0, 0.0, 1.0)
+    assert (common([(X, Y), low]), set(common([(X, level), (Y, level)]))) == ((), {level})
     narrow = gravity_from_tilt({"x": 20.0}), gravity_from_tilt({"y": 30.0})
     corners, met = np.abs(common([(X, Y), narrow]))[:, :2].max(axis=0), tilts((X, Y))
     assert corners == pytest.approx(np.sin(np.radians([20.0, 20.0])), abs=1e-3)

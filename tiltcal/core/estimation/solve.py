@@ -218,9 +218,8 @@ def _most_likely(
     highest = float(np.max(squares / each))
     q = lowest if slope(lowest) >= 0.0 else float(brentq(slope, lowest, highest, xtol=1e-300, rtol=1e-10))
     shows = (each / (stated + q * each))[stated < each * hidden**2]
-    if not len(shows):
-        return q, 0.0, 0.0
-    return q, float(np.sum(shows) ** 2 / np.sum(shows**2)), float(np.sum(shows) / np.sum(shows**2))
+    total, square = float(np.sum(shows)), float(np.sum(shows**2)) or 1.0
+    return q, total**2 / square, total / square
 
 
 def undetermined(jacobian: Array, names: Sequence[str]) -> list[str]:
