@@ -397,7 +397,7 @@ class FleetHistory:
             "calibrations": [{"file": one.path, "date": to_the_second(one.date)} for one in dated],
             "changes": [
                 {"before": a.name, "after": b.name, "days": (b.date - a.date) / timedelta(days=1)} | found.as_data()
-                for a, b, found in zip(dated, dated[1:], history.comparisons, strict=False)
+                for (a, b), found in zip(pairwise(dated), history.comparisons, strict=True)
             ],
             "due": to_the_second(history.due(self.interval)),
             "is_due": self.is_due(history),

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
 from html import escape
-from itertools import groupby
+from itertools import groupby, pairwise
 from math import degrees, nan
 from typing import NamedTuple
 
@@ -344,7 +344,7 @@ def fleet_change_table(history: FleetHistory) -> Table | None:
     pairs = [
         (one.sensor.serial, before, after, found)
         for one in history.histories
-        for before, after, found in zip(one.calibrations, one.calibrations[1:], one.comparisons, strict=False)
+        for (before, after), found in zip(pairwise(one.calibrations), one.comparisons, strict=True)
     ]
     if not pairs:
         return None

@@ -62,14 +62,14 @@ def test_signs_are_the_physical_ones() -> None:
     assert position["x-tilt1"].gravity == pytest.approx((0.5, 0.0, cos(radians(30))))
     assert position["y-tilt2"].gravity == pytest.approx((0.0, -0.5, cos(radians(30))))
     assert position["z-tilt2"].gravity == (0.0, 0.0, -1.0)
-    assert position["y-tilt2"].tilt == {"y": -30.0}
-    assert position["z-tilt1"].tilt is None
+    assert (position["y-tilt2"].tilt, position["z-tilt1"].tilt) == ({"y": -30.0}, None)
 
 
 def test_angle_is_refused_out_of_range_and_where_none_is_free() -> None:
     for angle in (0.0, -30.0, 90.5, float("nan")):
         with pytest.raises(UsageError, match="at most 90"):
             find_procedure("plane", angle)
+    assert find_procedure("plane", 90.0).in_positions().angle == 90.0
     with pytest.raises(UsageError, match="'six-face' leaves no angle free"):
         find_procedure("six-face", 30.0)
 
@@ -87,7 +87,7 @@ def test_own_procedure_is_run_by_path(own: Path) -> None:
 def test_unknown_procedure_offers_near_names() -> None:
     with pytest.raises(UsageError, match=r"unknown procedure 'cros-axis'.*'cross-axis'"):
         find_procedure("cros-axis")
-    with pytest.raises(UsageError, match=r"there are .*plane"):
+    with pytest.raises(UsageError, match=r"'/absent/qqq.yaml', and no such file; there are comparison-16, "):
         find_procedure("/absent/qqq.yaml")
 
 
