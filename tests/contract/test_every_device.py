@@ -141,8 +141,9 @@ def test_a_part_that_is_gone_is_said_and_comes_back(device: str) -> None:
 
 @every()
 def test_a_memory_fault_is_no_reading(device: str) -> None:
-    """And where the part has no such fault, nothing changes."""
+    """And where the part has no such fault, nothing changes, and its description says so."""
     bench = Bench(device, faults=(Fault("parity", 10.0, 90.0),))
+    assert ("a fault of a memory (parity)" in bench.model.omissions) != bench.model.memory_fault
     bench.sensor.read()
     bench.clock.seek(20_000_000_000)
     if bench.model.memory_fault:

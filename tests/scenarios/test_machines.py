@@ -370,14 +370,11 @@ table:
 
 def test_a_dry_run_reaches_every_position_without_a_sensor(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """It opens no sensor and writes nothing; a position that is not reached is named. The table goes 30 °/s."""
-    table, sensor = (
-        VirtualTable(np.random.default_rng(1), lambda: 0.1),
-        SENSOR.replace("sim:?seed=1", "spi:///dev/none"),
-    )
+    table = VirtualTable(np.random.default_rng(1), lambda: 0.1)
+    facts = {"chamber": "modbus:tcp://127.0.0.1:9", "sensors": SENSOR.replace("sim:?seed=1", "spi:///dev/none")}
     monkeypatch.setattr("tiltcal.bench.dry_run.session_clock", lambda began, virtual: VirtualClock())
     with serving(table.line) as place:
-        nothing_to_do = "modbus:tcp://127.0.0.1:9"
-        bench = BENCH.format(table=place, chamber=nothing_to_do, sensors=sensor).replace("thermometer: {", "#")
+        bench = BENCH.format(table=place, **facts).replace("thermometer: {", "#")
         (tmp_path / "bench.yaml").write_text(bench)
         done = tiltcal("measure", "plane", "--bench", "bench.yaml", "--dry-run", cwd=tmp_path, code=0)
         found = re.findall(r"(\d)/4  (\S+) +x (\S+)°, y (\S+)°   (\d+) s\n", done.stdout)

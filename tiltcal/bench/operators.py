@@ -131,10 +131,10 @@ class VirtualJig(Operator):
     """The operator of a virtual bench, whose jig has taken the position before it is asked; ``say`` takes its talk."""
 
     most_attempts = 10  # asked again, it does the same again
+    _begin: messages.Begin
 
     def __init__(self, say: Callable[[str], None]) -> None:
         self._say = say
-        self._begin: messages.Begin | None = None
 
     def ask(self, question: messages.Question) -> object:
         """Return the usual answer."""
@@ -161,8 +161,6 @@ class VirtualJig(Operator):
 
     def _measured(self, event: messages.Accepted) -> Iterator[str]:
         """Yield mean and scatter of each sensor of an accepted position."""
-        if self._begin is None:
-            return
         names, sensors = self._begin.positions, self._begin.sensors
         number = f"{names.index(event.position) + 1:{len(str(len(names)))}}/{len(names)}"
         for serial, one in event.by_serial(sensors).items():
