@@ -155,6 +155,8 @@ def test_free_positions_and_a_convention_of_components_are_refused() -> None:
     readings = {axis: [0.1] * 20 for axis in "xyz"}
     with pytest.raises(tiltcal.TiltcalError, match="needs components of gravity"):
         tiltcal.fit("free", {"position": [f"p{n}" for n in range(20)], **readings}, serial="A", unit="deg")
+    with pytest.raises(tiltcal.TiltcalError, match="is of readings that are angles, and sca100t-d02 reads count"):
+        tiltcal.plan("plane", sensor="sca100t-d02", alignment=0.1)
     with pytest.raises(tiltcal.TiltcalError, match="is of readings that are angles"):
         tiltcal.fit("plane", table("plane", "deg", "euler"), serial="A", unit="V", angles="euler", jig=0.1)
 

@@ -21,8 +21,9 @@ CLOSED_FORMS = {
     "zero-45 --noise 1e-4 --samples 1000000 --jig 0.2": {"offset.x": 0.125 * radians(0.2)},
     # In five positions up to 30°: about z gravity has a lever of 1/2 in four of them, so 4 (1/2)² = 1; about x of
     # cos 30° in two and of 1 in three, so 2 (3/4) + 3 = 4.5; about y the same.
-    "mounting --jig 0.1 --noise 0": {
-        "mounting.yaw": 0.1, "mounting.roll": 0.1 / sqrt(4.5), "mounting.pitch": 0.1 / sqrt(4.5)
+    **{
+        words: {"mounting.yaw": u, "mounting.roll": u / sqrt(4.5), "mounting.pitch": u / sqrt(4.5)}
+        for words, u in (("mounting --jig 0.1 --noise 0", 0.1), ("mounting --noise 8.19 --samples 100", degrees(1e-3)))
     },
 }  # fmt: skip
 

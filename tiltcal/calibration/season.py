@@ -318,10 +318,9 @@ class CoefficientDistribution:
     @property
     def outliers(self) -> tuple[str, ...]:
         """Serial numbers, the most extreme first; none where more than half of the sensors have one value."""
-        far = {serial: abs(value - self.median) for serial, value in self.values.items()}
-        return tuple(
-            serial for serial in sorted(far, key=far.__getitem__)[::-1] if far[serial] > FAR * self.spread > 0.0
-        )
+        middle, reach = self.median, FAR * self.spread
+        far = sorted(((abs(value - middle), serial) for serial, value in self.values.items()), reverse=True)
+        return tuple(serial for distance, serial in far if distance > reach > 0.0)
 
     def __str__(self) -> str:
         low, *_, high = self.values.values()

@@ -249,7 +249,7 @@ def change_table(before: CalibrationRecord, after: CalibrationRecord) -> tuple[s
     comparison = compare_records(before, after)
     changes, verdict, unit = comparison.changes, comparison.verdict, after.sensor.unit
     rest = ", ".join(label(name).words for name in comparison.not_comparable)
-    said = f"{verdict}; not comparable: {rest}" if rest else str(verdict)
+    said = "; not comparable: ".join(filter(None, [str(verdict), rest]))
     ratios = ["" if change.ratio is None else f"{change.ratio:.2f}" for change in changes]
     table = Table(
         [
