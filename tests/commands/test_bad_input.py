@@ -80,7 +80,6 @@ REFUSED = [
     ("noise log.csv --sensor sca100t-d02 --unit V", "one unit"),
     ("noise log.csv --sensor sca100t-d03", "did you mean"),
     ("noise nowhere.parquet", "cannot read"),
-    ("noise nowhere.csv", "cannot read"),
     (f"match log.csv {PAIR} --pair a3,a4", "2 --pair and 1 --orthogonal: each pair needs one orthogonal"),
     ("match log.csv --pair a1 --orthogonal a4", "--pair 'a1' is not a pair; write two columns, such as a1,a2"),
     ("match log.csv --pair a1, --orthogonal a4", "--pair 'a1,' is not a pair"),

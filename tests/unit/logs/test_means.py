@@ -135,11 +135,12 @@ def test_rows_that_cannot_be_parsed_are_counted_over_all_means(cal: Calibration)
 
 
 def test_shares_are_those_worked_out_by_hand(cal: Calibration) -> None:
-    found = cal.apply(rows(x=np.full(100, 2.5)), average=100, uncertainty=True)
     degree = np.degrees(1.0 / 2.0)
-    assert found["u_common_tilt_x"] == pytest.approx([0.003 * degree], rel=1e-3)
-    assert found["u_random_tilt_x"] == pytest.approx([0.004 * degree], rel=1e-3)
-    assert found["u_tilt_x"] == pytest.approx([hypot(0.003, 0.004) * degree], rel=1e-3)
+    for number, random in ((100, 0.004), (1, 0.04)):
+        found = cal.apply(rows(x=np.full(number, 2.5)), average=number, uncertainty=True)
+        assert found["u_common_tilt_x"] == pytest.approx([0.003 * degree], rel=1e-3)
+        assert found["u_random_tilt_x"] == pytest.approx([random * degree], rel=1e-3)
+        assert found["u_tilt_x"] == pytest.approx([hypot(0.003, random) * degree], rel=1e-3)
 
 
 def test_netcdf_of_means_keeps_what_it_states(cal: Calibration) -> None:
