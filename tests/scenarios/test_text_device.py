@@ -179,12 +179,15 @@ def test_a_check_sum_of_one_byte_and_what_is_no_number(tmp_path: Path) -> None:
     )
     sensor = model.driver(line, VirtualClock())
     assert [sensor.read().values for _ in range(2)] == [(1.25,), (-2.5,)]
-    heard = repr(("X=+.-\xd2\r\n" * 50)[-120:])
-    with pytest.raises(BusError, match=re.escape(f"only {heard}: x is '+.-', no number with a decimal point")):
-        sensor.read()
+    heard, torn = repr(("X=+.-\xd2\r\n" * 50)[-120:]), ArrivingPieces(*[b"X=+01.250\xe6", b""] * 9)
+    for driver, why in (
+        (sensor, f"only {heard}: x is '+.-', no number with a decimal point"),
+        (model.driver(torn, VirtualClock()), "of it, and a line end that ends it is missing; is the baud rate right?"),
+    ):
+        with pytest.raises(BusError, match=re.escape(why)):
+            driver.read()
     assert sensor.link_statistics() == {"answers": 2, "damaged": 151}
-    clock = VirtualClock()
-    part = model.twin(model.default_truth(1), Fixture(clock), clock)
+    part = model.twin(model.default_truth(1), Fixture(clock := VirtualClock()), clock)
     assert abs(model.driver(part, clock).read().values[0]) < 45.0
 
 

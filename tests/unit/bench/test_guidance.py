@@ -91,7 +91,6 @@ def test_the_present_attitude_is_in_the_frame_of_the_fixture(axes: tuple[str, st
     alone = replace(SCA100T, channels=("x",))
     shown = guidance(alone, STRAIGHT, counts(degrees(asin(0.6)), 0.0)[:1], (1.0, 0.0, 0.0), expected(alone))
     assert shown.up == pytest.approx((0.6, 0.32**0.5, 0.32**0.5))
-    # Two axes that read more than gravity together leave nothing for the third.
     shown = guidance(SCA100T, STRAIGHT, counts(60.0, 60.0), up, expected())
     assert shown.up == pytest.approx((0.5**0.5, 0.5**0.5, 0.0))
 

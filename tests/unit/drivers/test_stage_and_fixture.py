@@ -67,7 +67,6 @@ def test_a_gradient_turns_up_twice_a_turn_with_the_signs_of_eq_1() -> None:
 def test_a_slope_is_the_tangent_of_the_angle_and_a_roll_is_about_the_axis_of_the_pitch() -> None:
     truth = Truth(("x",), {"x": 0.0}, {"x": {"x": 1000.0}}, angles="inclination", slope=1000.0)
     assert truth.reading("x", (0.5, 0.0, 0.75**0.5), 25.0) == pytest.approx(577.350269)
-    # A frame that is turned about z: its own pitch and roll, in which a rotation about x, then about y, has them.
     turned = Rotation.from_euler("z", 20.0, degrees=True)
     pitch, roll, up = 0.3, -0.7, Rotation.from_euler("yx", [0.3, 0.7]).apply([0.0, 0.0, 1.0])
     y = dict(zip("xyz", 2.0 * turned.apply([0.0, 1.0, 0.0]), strict=True))

@@ -31,6 +31,7 @@ def samples(last: float = 0.0) -> list[Sample]:
 
 
 def test_a_position_is_what_its_samples_give_in_the_frame_of_each_sensor() -> None:
+    """A step is the least that x or y takes, where no model states one; a ramp leaves out what is at a rail."""
     steps = {serial: ReadingStep() for serial in "PC"}
     stated: Any = {"left_out": 2, "takes": 3, "steps": steps}
     found = result_of([PRINTS, COUNTS], X_UP, X_UP, samples(), "then", **stated)
@@ -47,13 +48,11 @@ def test_a_position_is_what_its_samples_give_in_the_frame_of_each_sensor() -> No
               "temperature": None, "left_out": 2},
     }  # fmt: skip
     assert found.mean("P").tolist() == [mean(VOLTS), 2.0 * mean(VOLTS)]
-    # The step is the least that x or y takes, where no model states one.
     stepped = found.with_steps(steps).measurements
     assert [stepped[serial].summaries["x"].resolution for serial in "PC"] == [0.25, 1.0]
     typed = result_of([PRINTS], X_UP, X_UP, samples(), "then", typed=5.0, steps=steps)
     one = typed.measurements["P"]
     assert (typed.typed, one.temperature, one.noted) == (True, 5.0, {"time": "then"})
-    # A ramp leaves out what is at a rail.
     ramp = result_of([PRINTS], X_UP, X_UP, samples(last=1.75), "then").measurements["P"]
     assert (ramp.summaries["x"].n, ramp.temperature) == (5, 22.0)
     assert ramp.summaries["x"].mean == pytest.approx(mean(VOLTS[:5]))
