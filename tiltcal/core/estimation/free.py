@@ -234,8 +234,8 @@ def _require_determined(jacobian: Array) -> None:
 def _uncertain(jacobian: Array, scatter: float, dof: float) -> Uncertain:
     """Return the uncertainty of the coefficients, those below the diagonal exact; ``scatter`` in g."""
     unknowns = jacobian.shape[1]
-    orders = int(unknowns > UNKNOWNS), 0, 0
-    names = [name for axis in AXES for name in ChannelModel(axis, AXES, *orders, None).coefficients]
+    models = (ChannelModel(axis, AXES, int(unknowns > UNKNOWNS), 0, 0, None) for axis in AXES)
+    names = [name for model in models for name in model.coefficients]
     places, covariance = [names.index(name) for name in _NAMES[:unknowns]], np.zeros((len(names), len(names)))
     covariance[np.ix_(places, places)] = scatter**2 * np.linalg.inv(jacobian.T @ jacobian)
     return Uncertain.errors(names, covariance, dof, source=NOISE)

@@ -201,11 +201,10 @@ class TrimmingLoops:
         with np.errstate(all="ignore"):  # of a first accelerometer without a signal
             _, second, orthogonal = phasors / phasors[0]
             p, q = 1.0 + float((second + self._q * orthogonal).real), -float(second.imag / orthogonal.imag)
-        if not (abs(orthogonal.imag) > _LEAST_QUADRATURE and -_FARTHEST / (1.0 - _FARTHEST) < p < _FARTHEST):
-            raise EstimateError(
-                f"p runs to {p:.2f}: {self._pair.second} and {self._pair.orthogonal} cannot be matched to "
-                f"{self._pair.first}"
-            )
+        if not abs(orthogonal.imag) > _LEAST_QUADRATURE:
+            raise EstimateError(f"{self._pair.orthogonal} has no signal in quadrature to {self._pair.first}")
+        if not -_FARTHEST / (1.0 - _FARTHEST) < p < _FARTHEST:
+            raise EstimateError(f"p runs to {p:.2f}: {self._pair.second} cannot be matched to {self._pair.first}")
         self._turns += 1
         by_p, by_q = p - self._p, q - self._q if self._turns > _ALONE else inf
         if _LOST < max(abs(by_p), abs(by_q)) < inf:
