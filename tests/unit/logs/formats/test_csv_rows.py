@@ -315,6 +315,8 @@ def test_a_first_line_of_numbers_is_a_row() -> None:
     for line, columns in rows.items():
         assert not dialect_of(line.splitlines()).has_header, line
         assert dialect_of(line.splitlines()).names == tuple(str(1 + k) for k in range(columns))
+    for first, second, decimal in (("1,234", "5", "."), ("1,5", "2.5", "."), ("1,5", "2", ","), ("1,23", "1,234", ",")):
+        assert dialect_of(["x,y", *[f'"{first}","{second}"'] * 3]).decimal == decimal
     assert dialect_of(["7,abc", "5,2", "3,4", "5,6"]).first == 1
     above = ["x,y", "begun at noon", "right,left", "1,2", "3,4"]
     assert (dialect_of(above).names, dialect_of(above).first) == (("right", "left"), 3)
