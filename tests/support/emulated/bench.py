@@ -2,8 +2,9 @@
 
 ::
 
-    with run_on([sys.executable, ".../read_sensor.py", MODEL, ADDRESS]) as bench:
-        read = bench.ask("read 5")
+    with run_on([sys.executable, "-m", "tiltcal", "measure", ..., "--operator", "json"]) as bench:
+        events = bench.lead()       # takes every position that is asked for, answers "ready"
+    assert bench.exit_code == 0
 
 The program uses the real bus library (python-spidev, smbus2) on a real device node; umockdev hands its ioctls to an
 SCA100T that was written apart from the drivers, or to a virtual part, which other hands judge elsewhere.
@@ -15,7 +16,7 @@ import shutil
 import socket
 import subprocess
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
 from functools import cache
@@ -48,6 +49,11 @@ SCA100T = truth(0.6, (1026.3, 817.4, 11.2, -3.5), (1020.8, -7.9, 821.6, 5.1), dr
 SCA3000 = truth(1.5, (31.4, 1341.2, 9.6, -14.3), (-18.7, -7.1, 1322.5, 11.8), (44.2, 5.9, -12.4, 1338.7))
 
 
+def coefficients(part: Truth) -> tuple[list[float], list[list[float]]]:
+    """Offsets and sensitivities, a row for each channel."""
+    return list(part.offset.values()), [list(row.values()) for row in part.sensitivity.values()]
+
+
 class Message(NamedTuple):
     """One SPI message or I2C transaction as the kernel's side saw it: times on the monotonic clock, ns."""
 
@@ -55,6 +61,9 @@ class Message(NamedTuple):
     end_ns: int
     out: bytes
     answer: bytes
+
+
+READY = '{"answer": "ready"}'
 
 
 class Bench:
@@ -70,6 +79,11 @@ class Bench:
         """Of the program, once it has ended; 128 + n where signal n ended it."""
         return self.process.wait()
 
+    def errors(self) -> str:
+        """What the program has written to standard error so far."""
+        self._errors.seek(0)
+        return self._errors.read()
+
     def pose(self, gravity: Sequence[float], temperature: float | None = None) -> None:
         """Lay the part so that ``gravity`` (unit vector) points up, at a temperature in °C; in force on return."""
         self._order(pose=list(gravity), temperature=temperature)
@@ -81,6 +95,10 @@ class Bench:
     def break_part(self) -> None:
         """Let the part send its fault signal."""
         self._order(broken=True)
+
+    def kill(self, signal: int) -> None:
+        """Send a signal to the program."""
+        self._order(kill=int(signal))
 
     def messages(self) -> list[Message]:
         """Every SPI message or I2C transaction that was answered so far."""
@@ -94,13 +112,35 @@ class Bench:
 
     def ask(self, line: str) -> dict[str, Any]:
         """Send the program a line and take its answer, one line of JSON."""
+        self.say(line)
+        return self.read()
+
+    def read(self) -> dict[str, Any]:
+        """Take the next line of the program, one object of JSON."""
+        line = self.process.stdout.readline()  # type: ignore[union-attr]
+        assert line, self.errors()
+        found: dict[str, Any] = json.loads(line)
+        return found
+
+    def take(self, asked: Mapping[str, Any] | None = None, gravity: Sequence[float] | None = None) -> None:
+        """Take the position of an ask, of the next one where none is given, or a wrong ``gravity``; say ready."""
+        asked = asked or self.read()
+        self.pose(gravity or asked["gravity"], asked.get("temperature"))
+        self.say(READY)
+
+    def say(self, line: str) -> None:
+        """Send the program a line on its standard input."""
         self.process.stdin.write(line + "\n")  # type: ignore[union-attr]
         self.process.stdin.flush()  # type: ignore[union-attr]
-        answer = self.process.stdout.readline()  # type: ignore[union-attr]
-        self._errors.seek(0)
-        assert answer, self._errors.read()
-        found: dict[str, Any] = json.loads(answer)
-        return found
+
+    def lead(self) -> list[dict[str, Any]]:
+        """Take each position that ``--operator json`` asks for, until the program ends; return every line of it."""
+        said = []
+        for line in self.process.stdout:  # type: ignore[union-attr]
+            said.append(json.loads(line))
+            if "ask" in said[-1]:
+                self.take(said[-1])
+        return said
 
     def _order(self, **order: object) -> dict[str, Any]:
         self._control.write(json.dumps(order) + "\n")

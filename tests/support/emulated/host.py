@@ -11,6 +11,7 @@ order, answered by one line once it is in force::
     {"pose": [gx, gy, gz], "temperature": 24.0 or null}
     {"fault": errno or 0}      {"broken": true}
     {"messages": true}         -> {"messages": [[start_ns, end_ns, "out", "in"], ...], "settings": {...}}
+    {"kill": signal}           to the program under test
 """
 
 import json
@@ -109,7 +110,7 @@ def main(control: str, address: str, model: str, facts: str, *program: str) -> i
         if not line:
             child.kill()
             return False
-        answer = obey(json.loads(line), node, fixture)
+        answer = obey(json.loads(line), node, fixture, child.pid)
         lines.write(json.dumps(answer) + "\n")
         lines.flush()
         return True
@@ -125,7 +126,7 @@ def main(control: str, address: str, model: str, facts: str, *program: str) -> i
     return codes[0] if codes[0] >= 0 else 128 - codes[0]
 
 
-def obey(order: dict, node: Node, fixture: Fixture) -> dict:
+def obey(order: dict, node: Node, fixture: Fixture, child: int) -> dict:
     """Carry out one order from the test."""
     if "pose" in order:
         fixture.move(tuple(order["pose"]), order["temperature"])
@@ -133,6 +134,8 @@ def obey(order: dict, node: Node, fixture: Fixture) -> dict:
         node.fault = order["fault"]
     if "broken" in order:
         node.part._truth = replace(node.part._truth, faults=(Fault("parity", 0.0, inf),))
+    if "kill" in order:
+        os.kill(child, order["kill"])
     if "messages" in order:
         return {"messages": node.messages, "settings": node.settings}
     return {}

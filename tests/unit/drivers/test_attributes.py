@@ -156,3 +156,18 @@ def test_an_accelerometer_of_another_machine_is_read_by_libiio(monkeypatch: pyte
     ):
         with pytest.raises(BusError, match=why), library.open_sensor("iio", address):
             pass
+
+
+def test_a_whole_session_reads_an_accelerometer_of_linux(device: Path, tmp_path: Path) -> None:
+    class Table:
+        def position(self, ask: dict) -> dict:
+            for axis, g in zip("xyz", ask["gravity"], strict=True):
+                (device / f"in_accel_{axis}_raw").write_text(f"{round(1000 * g) + 20}\n")
+            return {"answer": "ready"}
+
+    cal = library.measure(
+        "six-face", sensor="iio", address="iio:device0?sensitivity=1000", serial="I-1", operator=Table(), jig=0.1,
+        samples=30, settle=0.1, output=tmp_path / "I-1.yaml",
+    )  # fmt: skip
+    assert cal.offset["x"] == pytest.approx(20.0, abs=0.5)
+    assert cal.sensitivity["z", "z"] == pytest.approx(1000.0, abs=0.5)

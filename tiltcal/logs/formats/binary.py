@@ -11,7 +11,7 @@ KINDS: tuple[tuple[bytes, str, str], ...] = (
     (b"\xd0\xcf\x11\xe0", "an Excel file (.xls)", "save the sheet as CSV"),
     (b"MATLAB 5.0", "a MATLAB file (.mat)", "in MATLAB: writematrix(data, 'log.csv')"),
     (b"\x93NUMPY", "an array of numpy (.npy)", _PYTHON.format(of="numpy.load('log.npy')")),
-    (b"MD\xfc\x03", "a recording of an Axivity sensor (.cwa)", "convert it with cwa-convert or OmGui to CSV"),
+    (b"MD", "a recording of an Axivity sensor (.cwa)", "convert it with cwa-convert or OmGui to CSV"),
     (b"TDSm", "a TDMS file of LabVIEW", _PYTHON.format(of="nptdms.TdmsFile('log.tdms').as_dataframe()")),
     (b"\x89HDF", "an HDF5 file", "if it is NetCDF-4, name it .nc; else write its columns as CSV"),
     (b"CDF", "a NetCDF-3 file", "make NetCDF-4 of it, such as with nccopy -k nc4 OLD NEW.nc"),
@@ -40,9 +40,10 @@ _TEXT = 0.02  # the largest share of control characters in a text
 def refuse_binary(head: bytes, file: str) -> None:
     """Raise an InputError for the first bytes of a file that is no text."""
     for magic, what, how in KINDS:
-        if head.startswith(magic):
+        named = head.startswith(magic)
+        if named and (len(magic) > 2 or b"\0" in head[:512] or not head[:512].isascii()):
             raise InputError(f"this is {what}, no text: {how}", file=file)
     some = head[:4096]
     control = sum(some.count(code) for code in range(1, 32) if code not in b"\t\n\r\f\x1a\x1b")
-    if control > _TEXT * len(some) and some.count(0):
+    if len(some) >= 64 and control > _TEXT * len(some) and some.count(0):
         raise InputError("this is no text: export the log as CSV from the program that made it", file=file)

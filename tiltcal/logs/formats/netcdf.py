@@ -16,7 +16,7 @@ from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC, datetime
 from itertools import chain
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
@@ -29,7 +29,8 @@ from tiltcal.logs.frames import DatasetFrame, FrameReader
 from tiltcal.logs.log import NO_ROWS, LogBlock, LogSource, LogWriter, Table
 from tiltcal.logs.streams import refusing
 
-_ROWS = 1 << 16  # of a block: as many, or as a chunk of the file holds, which is unpacked as a whole
+_ROWS, _MOST_ROWS = 1 << 16, 1 << 21
+"""Of a block: as many, or as a chunk of the file holds, which is unpacked as a whole, and how many at most."""
 
 _CLASSIC = b"CDF"
 
@@ -67,14 +68,14 @@ class NetcdfReader(FrameReader):
         dimension = self.dimension(columns)
         chunks = [self.data[self.names[index]].encoding.get("chunksizes") or (1,) for index in columns]
         longest = max(int(chunk[0]) for chunk in chunks)
-        total, step = self.data.sizes[dimension], -(-_ROWS // longest) * longest
+        total, step = self.data.sizes[dimension], min(-(-_ROWS // longest) * longest, _MOST_ROWS)
         if not total:
             raise InputError(NO_ROWS, file=self.name)
         for start in range(0, total, step):
             rows = slice(start, min(start + step, total))
             with refusing(_DAMAGED, self.name), foreign_library.get()(self.name):
                 block = self._block(DatasetFrame(self.data.isel({dimension: rows})), columns, time, frames)
-            self.bytes_read = cast(int, self.source.size) * rows.stop // total
+            self.bytes_read = (self.source.size or 0) * rows.stop // total
             yield block
 
 
