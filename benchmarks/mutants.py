@@ -67,7 +67,7 @@ SLIPS |= {"BitOr": "BitAnd", "BitAnd": "BitOr", "BitXor": "BitOr", "LShift": "RS
 SLIPS |= {"Lt": "LtE GtE", "LtE": "Lt Gt", "Gt": "GtE LtE", "GtE": "Gt Lt", "Eq": "NotEq", "NotEq": "Eq"}
 SLIPS |= {"Is": "NotEq", "IsNot": "Eq", "USub": "UAdd", "Delete": "USub Not"}
 """The other operators that are tried for each: the opposite, and the bound that counts or does not."""
-BY_CONSTRUCTION = r"\*,|strict=True|kw_only=True"
+BY_CONSTRUCTION = r"\*,|strict=True|kw_only=True|if TYPE_CHECKING"
 """What is no calculation: how arguments are given, and a zip of what has one length."""
 
 FOLLOWED = {
