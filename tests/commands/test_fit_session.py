@@ -1,5 +1,6 @@
 """``fit`` of what people have: signs turned, a tapped or stuck hold, several logs, means without names."""
 
+import re
 from itertools import pairwise
 from pathlib import Path
 
@@ -143,3 +144,22 @@ def test_each_log_of_a_session_has_a_clock_of_its_own(tmp_path: Path) -> None:
     tiltcal("fit", "two-temperature", *logs, cwd=tmp_path, code=0)
     refused = tiltcal("fit", "two-temperature", "--table", *logs, cwd=tmp_path, code=2)
     assert refused.stderr == "tiltcal: a --table is one file, and 2 are given: name one\n"
+
+
+def test_a_table_may_have_semicolons_and_decimal_commas(tmp_path: Path) -> None:
+    rows = "x-tilt1;3,5117;2,5210\nx-tilt2;1,5083;2,5000\ny-tilt1;2,4903;3,5083\ny-tilt2;2,5303;1,5123\n"
+    (tmp_path / "t.csv").write_text("position;x;y\n" + rows)
+    calibration, _ = fitted(tmp_path, "plane", "t.csv", "--table", "--unit", "V", "--jig", "0.1")
+    assert calibration.offset["x"] == pytest.approx((3.5117 + 1.5083 + 2.4903 + 2.5303) / 4, abs=1e-3)
+
+
+def test_a_hold_that_was_tapped_is_trimmed_or_left_out_and_named(tmp_path: Path) -> None:
+    rows = held()
+    rows[480:600] = rows[480:600].mean(axis=0) + 0.0003 * np.random.default_rng(2).normal(size=(120, 3))
+    rows[510:600:9] += (0.004, -0.003, 0.002)
+    calibration, said = fitted(tmp_path, "free", write(tmp_path / "log.csv", rows))
+    assert "still-04" in re.search(r"1 of \d+ holds is (trimmed|left out): (.*)", said)[2]
+    assert off(calibration) < 1.0
+    segments = calibration.record.provenance.segments
+    assert [*segments.trimmed, *segments.left_out] == ["still-04"]
+    tiltcal("check", "a.yaml", cwd=tmp_path, code=0)

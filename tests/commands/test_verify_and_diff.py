@@ -1,9 +1,11 @@
 """``tiltcal verify`` judges by positions that were not fitted; ``tiltcal diff`` compares two dated calibrations."""
 
 import json
+from math import cos, radians
 from pathlib import Path
 
 import pytest
+import yaml
 from support.command import measure, tiltcal
 
 CALIBRATION = """\
@@ -113,3 +115,21 @@ def test_another_mounting_is_a_change(tmp_path: Path) -> None:
         assert abs(turn["change"]) == pytest.approx((after - before) % 360.0)
         assert turn["ratio"] == (pytest.approx(abs(turn["change"]) / 0.1414, rel=1e-3) if u else None)
         assert said in tiltcal(*words, cwd=tmp_path).stdout
+
+
+def test_an_unchanged_part_in_two_procedures_is_not_called_changed(tmp_path: Path) -> None:
+    """One part on the virtual bench: its offset of `plane` was 39.6 u from that of `cross-axis`.
+
+    All positions of `plane` have g_z = cos 30°: its offset holds so much of the column of z, of which the data sheet's
+    limit is its uncertainty, while `cross-axis` measures both.
+    """
+    for procedure in ("plane", "cross-axis"):
+        given = ("--sensor", "sca100t-d02", "--address", "sim:seed=7", "--serial", "S-7", "--jig", "0.05")
+        tiltcal("measure", procedure, *given, "--operator", "sim", "-o", f"{procedure}.yaml", cwd=tmp_path, code=0)
+    tiltcal("diff", "plane.yaml", "cross-axis.yaml", cwd=tmp_path, code=0)
+    told = json.loads(tiltcal("diff", "plane.yaml", "cross-axis.yaml", "--json", cwd=tmp_path).stdout)
+    assert (told["verdict"], told["not_comparable"]) == ("unchanged", [])
+    (of_y,) = (row for row in told["coefficients"] if row["name"] == "offset.y")
+    limit = yaml.safe_load((tmp_path / "plane.yaml").read_text())["fit"]["priors"]["sensitivity.y.z"]
+    assert of_y["u"] == pytest.approx(cos(radians(30.0)) * limit, rel=0.01)
+    assert abs(of_y["change"]) > 10.0

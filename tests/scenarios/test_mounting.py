@@ -121,3 +121,26 @@ def test_a_sensor_in_any_mounting(
     assert {"mounting.roll", "mounting.pitch", "mounting.yaw"} <= set(found.uncertainty)
     np.testing.assert_array_equal(found.coefficients.sensitivity, before.coefficients.sensitivity)
     tiltcal("replay", "M-1-mounted.journal.jsonl", "--golden", "M-1-mounted.yaml", cwd=tmp_path, code=0)
+
+
+@pytest.mark.parametrize("angles", [(170.0, 40.0, -120.0), (-90.0, 0.0, 0.0)])
+def test_a_three_axis_sensor_in_any_mounting(angles: tuple[float, float, float], tmp_path: Path) -> None:
+    path = mounted(tmp_path, SCA3000, "six-face", "{{roll: {}, pitch: {}, yaw: {}}}".format(*angles))
+    found = read_calibration(path)
+    mounting = found.coefficients.mounting
+    assert mounting is not None
+    assert np.degrees([mounting.roll, mounting.pitch, mounting.yaw]) == pytest.approx(angles, abs=0.12)
+    assert {"mounting.roll", "mounting.pitch", "mounting.yaw"} <= set(found.uncertainty)
+    before = read_calibration(tmp_path / "M-1.yaml")
+    np.testing.assert_array_equal(found.coefficients.sensitivity, before.coefficients.sensitivity)
+    tiltcal("replay", "M-1-mounted.journal.jsonl", "--golden", "M-1-mounted.yaml", cwd=tmp_path, code=0)
+
+
+@pytest.mark.parametrize("angles", [(3.0, -5.0, 60.0), (180.0, 0.0, 0.0)])
+def test_a_two_axis_sensor_upright_or_inverted(angles: tuple[float, float, float], tmp_path: Path) -> None:
+    """The meter hangs upside down and the sensor is not calibrated again."""
+    path = mounted(tmp_path, SCA100T, "plane", "{{roll: {}, pitch: {}, yaw: {}}}".format(*angles))
+    mounting = read_calibration(path).coefficients.mounting
+    assert mounting is not None
+    truth = mounting_matrix(Mounting(*map(radians, angles)))
+    np.testing.assert_allclose(mounting_matrix(mounting), truth, atol=radians(0.25))
