@@ -34,7 +34,7 @@ from typing import ClassVar
 from tiltcal.drivers.bus import Link, SpiPort, check_data_line, require_length
 from tiltcal.drivers.bus.address import Address
 from tiltcal.drivers.bus.clock import SECOND, Clock
-from tiltcal.drivers.virtual import HeldPose, Truth, VirtualPart
+from tiltcal.drivers.virtual import HeldPose, Truth, VirtualPart, uniform
 from tiltcal.errors import BusError, DeviceFault
 
 SCHEMES = ("ads1115+i2c", "mcp3208+spi")
@@ -226,35 +226,49 @@ def _register(link: Link, pointer: int) -> bytes:
     return require_length(link.exchange(bytes([pointer]), 2), 2)
 
 
+ADS1115_BIT_SECONDS = 1.0 / 100_000
+
+
 class VirtualAds1115(VirtualPart):
-    """An ADS1115 on the I2C bus at 100 kHz: its config register and the last conversion of one input.
+    """An ADS1115 on the I2C bus at 100 kHz: the pointer, the config register and the last conversion of one input.
 
     volts: ``volts(number)`` returns the voltage at an input now, V.
     """
 
-    letter, bit_seconds = "i", 1.0 / 100_000
+    letter = "i"
 
     def __init__(self, truth: Truth, fixture: HeldPose, clock: Clock, volts: Callable[[int], float]) -> None:
         super().__init__(truth, fixture, clock)
         self._volts = volts
+        self._pointer = CONVERSION
         self._config = RESET & ~START
         self._code = self._former_code = self._done_ns = 0
 
     def _answered(self, out: bytes, count: int) -> bytes:
-        """Start the conversion that is written, or read the register of the pointer."""
-        if not count:
-            self._config = int.from_bytes(out[1:], "big") & ~START
-            self._convert()
-            return b""
+        """Write, then read the register of the pointer."""
+        # Each byte has a ninth bit for its acknowledge, and each direction begins with the device's address.
+        self._clock.sleep(9 * (1 + len(out)) * ADS1115_BIT_SECONDS)
+        if out:
+            self._pointer = out[0] & 0b11
         busy = self._clock.now_ns() < self._done_ns
-        if out[0] == CONFIG:
-            return (self._config | (0 if busy else DONE)).to_bytes(2, "big")
-        return (self._former_code if busy else self._code).to_bytes(2, "big", signed=True)
+        if len(out) >= 3 and self._pointer == CONFIG:
+            written = int.from_bytes(out[1:3], "big")
+            self._config = written & ~START
+            if written & START and not busy:
+                self._convert()
+                busy = True
+        conversion = (self._former_code if busy else self._code) & 0xFFFF
+        # The thresholds are not modelled.
+        held = {CONFIG: self._config | (0 if busy else DONE), CONVERSION: conversion}.get(self._pointer, 0)
+        if count:
+            self._clock.sleep(9 * (1 + count) * ADS1115_BIT_SECONDS)
+        return (held.to_bytes(2, "big") * (count // 2 + 1))[:count]
 
     def _convert(self) -> None:
         """Start the conversion of the config register now."""
-        seconds = (1.0 + TOLERANCE) / RATES[self._config >> 5 & 0b111]  # as slow as a part may be
-        full_scale = RANGES[self._config >> 9 & 0b111]
+        seconds = 1.0 - TOLERANCE + 2.0 * TOLERANCE * uniform(self._truth.seed, "oscillator", 0)
+        seconds /= RATES[self._config >> 5 & 0b111]
+        full_scale = (*RANGES, RANGES[-1], RANGES[-1])[self._config >> 9 & 0b111]
         volts = self._volts(self._config >> 12 & 0b011)
         self._former_code, self._code = self._code, min(max(round(volts / full_scale * 32768), -32768), 32767)
         self._done_ns = self._clock.now_ns() + round(seconds * SECOND)

@@ -147,6 +147,20 @@ def test_an_address_that_cannot_be_is_refused_with_the_reason(sheet: dict[str, A
     assert sheet["refused"][row] in str(refusal.value)
 
 
+def test_the_clock_of_a_virtual_converter_is_10_percent_wrong_at_most() -> None:
+    took = []
+    for seed in range(20):
+        device = VirtualDevice(find_model("sca100t-d01-analog"), "rate=8", seed=seed)
+        device.line.exchange(bytes.fromhex("01 C1 03"))
+        began = device.clock.now_ns()
+        while not device.line.exchange(b"\x01", 2)[0] & 0x80:
+            device.clock.sleep(1e-3)
+        assert device.line.exchange(b"", 2) == device.line.exchange(b"\x01", 2), "the pointer stays where it is"
+        took.append((device.clock.now_ns() - began) / 1e9 * 8.0)
+    assert 0.9 <= min(took) < 0.93
+    assert 1.07 < max(took) <= 1.12  # it is asked once in 1.5 ms
+
+
 @pytest.mark.parametrize("rate", RATES)
 def test_it_waits_for_a_converter_that_is_10_percent_slow(rate: int) -> None:
     converter, clock = Ads1115(parse_address(f"sim:rate={rate}")), VirtualClock()
