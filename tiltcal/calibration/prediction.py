@@ -127,7 +127,7 @@ def predict(
             reached = expected(further[:count], proposing=False)
             halves = half_widths(reached.coefficients, reached.uncertain, limits)
             by_count[count] = max(float(halves[axis][1].max()) for axis in bench.instrument.axes)
-    headings = {position.heading or 0.0 for position in procedure.positions}
+    headings = {(position.heading or 0.0) % 360.0 for position in procedure.positions}
     not_covered = LEAN if len(headings) == 1 and bench.table_lean is None and not design.free else None
     data = {
         "noise": scatter,
