@@ -115,7 +115,8 @@ def temperature_figure(calibration: CalibrationRecord) -> SvgFigure | None:
     coefficients, thermal = calibration.coefficients, calibration.coefficients.thermal
     if thermal is None:
         return None
-    gains, (low, high) = bool(thermal.gain.any()), thermal.range or (thermal.reference - 10.0, thermal.reference + 10.0)
+    gains = bool(thermal.gain.any())
+    low, high = calibration.limits.temperature or thermal.range or (thermal.reference - 10.0, thermal.reference + 10.0)
     t = np.linspace(low, high, POINTS)
 
     def plot(figure: Figure) -> None:
